@@ -1,0 +1,1 @@
+"""OpenClone: closed-loop whole-body humanoid teleoperation from three points."""
