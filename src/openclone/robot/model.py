@@ -7,7 +7,6 @@ sensor, so that every backend and the simulated robot deliver the same vector.
 from __future__ import annotations
 
 import importlib.util
-import math
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -247,6 +246,3 @@ class SensorLayout:
         return SensorLayout(**{key: slice(*span) for key, span in spans.items()})
 
 
-def max_tilt_cos(degrees: float) -> float:
-    """Cosine of a tilt limit given in degrees."""
-    return math.cos(math.radians(degrees))
