@@ -11,7 +11,6 @@ import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Literal
 
 from openclone.errors import InputError, OpenCloneError
 
@@ -20,9 +19,9 @@ def robot_joints(name: str | None = None, /) -> None:
     """Print the G1's joints (or one): limits, standing angle, motor, gains, sources."""
     from openclone.robot import g1
 
+    chosen = range(g1.NUM_JOINTS) if name is None else [g1.joint_index(name)]
     print("no joint                          lower    upper  default", end=" ")
     print(" N m rad/s  N m/rad N m s/rad")
-    chosen = range(g1.NUM_JOINTS) if name is None else [g1.joint_index(name)]
     for index in chosen:
         joint = g1.JOINTS[index]
         motor = joint.motor
