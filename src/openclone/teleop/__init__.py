@@ -1,0 +1,1 @@
+"""The running system: operators, calibration, the 50 Hz loop, safety, recording."""

@@ -1,0 +1,1 @@
+"""Where operator frames come from."""
