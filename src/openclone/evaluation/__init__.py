@@ -1,0 +1,1 @@
+"""How well it works: the metrics and experiments of the paper, as reports."""
