@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import zipfile
+import zlib
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -27,6 +28,12 @@ CATEGORIES = (
     "jump", "punch", "wave", "reach", "pickup", "transition",
 )  # fmt: skip
 """The paper's nine motion types (Fig. 4), then wave, reach, pickup, transition."""
+
+_UNREADABLE = (
+    OSError, ValueError, KeyError, TypeError, AttributeError, EOFError, RuntimeError,
+    zipfile.BadZipFile, zlib.error,
+)  # fmt: skip
+"""What NumPy, zipfile and json raise on damaged files."""
 
 
 @dataclass(frozen=True)
@@ -108,8 +115,8 @@ def clip_from_qpos(info: ClipInfo, qpos: np.ndarray) -> Clip:
 
 
 def check_clip(clip: Clip, where: str) -> Clip:
-    """Return ``clip`` if it is well formed, else raise `InputError` naming ``where``."""
-    count = len(clip.root_position)
+    """Return ``clip`` if well formed, else raise `InputError` naming ``where``."""
+    count = len(np.atleast_1d(clip.root_position))
     shapes = {
         "root_position": (count, 3),
         "root_quat": (count, 4),
@@ -195,8 +202,9 @@ def load_clip(path: Path) -> Clip:
             ]
         if metadata.pop("format", None) != FORMAT:
             raise InputError(f"not a {FORMAT} file", where=where, remedy=remedy)
-        info = ClipInfo(**{**metadata, "fps": float(metadata["fps"])})
-    except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
+        texts = {name: str(value) for name, value in metadata.items()}
+        info = ClipInfo(**{**texts, "fps": float(metadata["fps"])})
+    except _UNREADABLE as error:
         raise InputError(
             f"not a readable clip ({error})", where=where, remedy=remedy
         ) from error
