@@ -1,0 +1,1 @@
+"""How the policy is learned: physics, tracking task, teacher (PPO), student (DAgger)."""

@@ -1,0 +1,60 @@
+"""What the privileged teacher sees (section 3.1)."""
+
+from __future__ import annotations
+
+import torch
+
+from openclone.policy.observation import gravity_b
+from openclone.robot import g1
+from openclone.robot.state import RobotState
+from openclone.spatial import rotations
+
+TEACHER_SIZE = 5 * g1.NUM_JOINTS + 9 * len(g1.KEY_BODIES) + 33
+
+
+def teacher_observation(
+    robot: RobotState, reference: RobotState, action: torch.Tensor
+) -> torch.Tensor:
+    """The observation o^tea, ``(n, d)``.
+
+    All body quantities stand in the torso frame, so that neither place nor heading
+    matters. Contents: reference joint angles and velocities at t + 1; torso position,
+    orientation and velocity differences; the robot's own joints, key bodies, velocities,
+    gravity and foot loads; key bodies of the reference; the previous action.
+
+    Args:
+        robot: current states.
+        reference: reference states at t + 1.
+        action: (n, 29), previous action, residual units.
+    """
+    torso = g1.TORSO
+    anchor = robot.body_position[:, torso : torso + 1]
+    turn = robot.body_quat[:, torso]
+    turns = turn[:, None]
+    default = torch.as_tensor(g1.DEFAULT_POSE, dtype=turn.dtype)
+
+    def local(vectors: torch.Tensor) -> torch.Tensor:
+        return rotations.rotate_inverse(turns, vectors).flatten(1)
+
+    relative = rotations.multiply(
+        rotations.conjugate(turn), reference.body_quat[:, torso]
+    )
+    parts = (
+        reference.joint_angles - default,
+        reference.joint_velocities * 0.05,
+        rotations.to_6d(relative),
+        local(reference.body_velocity[:, torso : torso + 1]),
+        local(reference.body_angular_velocity[:, torso : torso + 1]) * 0.25,
+        robot.joint_angles - default,
+        robot.joint_velocities * 0.05,
+        local(robot.body_velocity[:, torso : torso + 1]),
+        local(robot.body_angular_velocity[:, torso : torso + 1]) * 0.25,
+        gravity_b(robot.body_quat[:, g1.ROOT]),
+        robot.foot_force.flatten(1).clamp(-1000, 1000) / 300.0,
+        robot.body_velocity[:, list(g1.FEET)].flatten(1),
+        action * 0.5,
+        local(robot.body_position - anchor),
+        local(reference.body_position - anchor),
+        local(reference.body_velocity - robot.body_velocity) * 0.5,
+    )
+    return torch.cat(parts, -1)

@@ -1,0 +1,58 @@
+"""From clips to a ready tracking task."""
+
+from __future__ import annotations
+
+import torch
+
+from openclone.errors import InputError
+from openclone.motion.clip import Clip
+from openclone.motion.edit import mirror, pad_still
+from openclone.robot.model import SensorLayout, build_model
+from openclone.training.physics import ThreadedPhysics
+from openclone.training.reference import ReferenceMotions, build_reference
+from openclone.training.task import TaskConfig, TrackingTask
+
+_MIN_SECONDS = 0.6
+
+
+def select_clips(
+    clips: list[Clip],
+    categories: tuple[str, ...] | None,
+    mirrored: bool,
+    still_seconds: float,
+) -> list[Clip]:
+    """Training motions: of the wanted categories, padded and mirrored.
+
+    Raises:
+        InputError: no clip is left.
+    """
+    chosen = [
+        pad_still(clip, still_seconds)
+        for clip in clips
+        if (categories is None or clip.info.category in categories)
+        and clip.seconds >= _MIN_SECONDS
+    ]
+    if not chosen:
+        raise InputError(
+            "no clip of the wanted categories",
+            remedy="check --motions, or use a preset with other categories",
+        )
+    if mirrored:
+        chosen += [mirror(clip) for clip in chosen]
+    return chosen
+
+
+def load_reference(clips: list[Clip]) -> ReferenceMotions:
+    """Tables of the reference for ``clips``."""
+    return build_reference(clips, build_model())
+
+
+def make_task(
+    reference: ReferenceMotions, config: TaskConfig, seed: int, threads: int | None
+) -> TrackingTask:
+    """A tracking task on the CPU backend; torch is given the same cores."""
+    if threads:
+        torch.set_num_threads(threads)
+    model = build_model()
+    physics = ThreadedPhysics(model, config.num_envs, threads)
+    return TrackingTask(reference, physics, SensorLayout.of(model), config, seed)

@@ -1,0 +1,111 @@
+"""Distilling the student from the teacher: DAgger with the balance loss (Eq. 1)."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+import torch
+from rsl_rl.models import MLPModel
+from tensordict import TensorDict
+from torch import nn
+
+from openclone.policy.moe import balance_loss
+from openclone.policy.student import StudentModel
+from openclone.training.ppo import note_step
+from openclone.training.presets import DistillationConfig
+from openclone.training.progress import Progress
+from openclone.training.student_view import StudentView
+from openclone.training.teacher import GROUP as TEACHER
+
+_UNIT = 0.45
+"""Radians; typical action scale, makes the loss comparable to actions squared."""
+
+
+class Dagger:
+    """The student acts, the teacher says what it would have done, the student learns."""
+
+    def __init__(
+        self,
+        view: StudentView,
+        teacher: MLPModel,
+        student: StudentModel,
+        config: DistillationConfig,
+        rng: np.random.Generator,
+    ) -> None:
+        """Start with an empty buffer."""
+        self.view, self.teacher, self.student = view, teacher, student
+        self.config = config
+        self.rounds = 0
+        self.optimizer = torch.optim.Adam(student.mlp.parameters(), config.learning_rate)
+        self._buffer: deque[tuple[torch.Tensor, torch.Tensor]] = deque(
+            maxlen=config.kept_rounds
+        )
+        self._rng = rng
+        self._weight = view.task.action_scale / _UNIT
+
+    def label(self) -> torch.Tensor:
+        """The teacher's joint targets as student actions, ``(n, 29)``."""
+        task = self.view.task
+        group = TensorDict(
+            {TEACHER: task.teacher_observation()}, batch_size=[task.num_envs]
+        )
+        return self.view.to_action(task.residual_to_target(self.teacher(group)))
+
+    @torch.no_grad()
+    def collect(self, progress: Progress) -> None:
+        """One round of roll-outs; the teacher's share of control falls to zero."""
+        share = max(0.0, 1.0 - self.rounds / self.config.teacher_share_rounds)
+        observations, labels = [], []
+        self.student.train()
+        count = self.view.task.num_envs
+        for _ in range(self.config.steps):
+            inputs, label = self.view.observe(), self.label()
+            self.student.obs_normalizer.update(inputs)  # type: ignore[operator]
+            own = self.student.mean_action(inputs)
+            by_teacher = torch.from_numpy(self._rng.random((count, 1)) < share)
+            result = self.view.step(torch.where(by_teacher, label, own))
+            observations.append(inputs)
+            labels.append(label)
+            progress.steps += count
+            note_step(progress, result)
+            progress.add(gap=float((self._weight * (own - label)).abs().mean()))
+        self._buffer.append((torch.cat(observations), torch.cat(labels)))
+        self.rounds += 1
+
+    def update(self, progress: Progress) -> None:
+        """Gradient steps on the buffer: squared error plus Eq. 1."""
+        config = self.config
+        rate = config.learning_rate * (1.0 - 0.8 * progress.share)
+        for group in self.optimizer.param_groups:
+            group["lr"] = rate
+        rounds = len(self._buffer)
+        for _ in range(config.updates):
+            per_round = config.batch // rounds
+            parts = [
+                (inputs[index], labels[index])
+                for inputs, labels in self._buffer
+                for index in [
+                    torch.from_numpy(self._rng.integers(0, len(inputs), per_round))
+                ]
+            ]
+            inputs = torch.cat([part[0] for part in parts])
+            labels = torch.cat([part[1] for part in parts])
+            error = self._weight * (self.student.mean_action(inputs) - labels)
+            imitation = error.square().sum(-1).mean()
+            balance = balance_loss(self.student.network.routing)
+            loss = imitation + config.balance * balance
+            self.optimizer.zero_grad()
+            loss.backward()
+            nn.utils.clip_grad_norm_(
+                self.student.mlp.parameters(), config.max_grad_norm
+            )
+            self.optimizer.step()
+            progress.add(**{"loss/imitation": float(imitation)})
+            progress.add(**{"loss/balance": float(balance)})
+
+
+def distill(dagger: Dagger, progress: Progress) -> None:
+    """One round of DAgger: collect, then learn."""
+    dagger.collect(progress)
+    dagger.update(progress)

@@ -1,0 +1,90 @@
+"""The student's side of the training task: what it would measure on a real robot."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from openclone.odometry.noise import OdometryNoise, OdometryNoiseConfig
+from openclone.policy import observation
+from openclone.policy.command import Command, KeyPoints
+from openclone.policy.observation import History, Proprioception
+from openclone.robot import g1
+from openclone.robot.model import CONTROL_PERIOD
+from openclone.robot.state import key_point_poses, key_point_velocities
+from openclone.spatial import rotations
+from openclone.training.task import StepResult, TrackingTask
+
+
+class StudentView:
+    """History, odometry error and actions of the robots of a task."""
+
+    def __init__(
+        self,
+        task: TrackingTask,
+        history: int,
+        noise: OdometryNoiseConfig,
+        rng: np.random.Generator,
+    ) -> None:
+        """Start with each robot's first frame."""
+        self.task = task
+        self._default = torch.tensor(g1.DEFAULT_POSE, dtype=torch.float32)
+        self._scale = task.action_scale
+        self._noise = OdometryNoise(task.num_envs, noise, rng)
+        self._error = torch.zeros(task.num_envs, 1, 3)
+        self.action = torch.zeros(task.num_envs, g1.NUM_JOINTS)
+        self.history = History(self._frame(), history)
+
+    def to_target(self, action: torch.Tensor) -> torch.Tensor:
+        """Joint targets of the student's action: default pose + scale x action."""
+        return self._default + self._scale * action
+
+    def to_action(self, targets: torch.Tensor) -> torch.Tensor:
+        """The student's action that gives ``targets``."""
+        return (targets - self._default) / self._scale
+
+    def _proprioception(self) -> Proprioception:
+        robot = self.task.robot_state()
+        base = robot.body_quat[:, g1.ROOT]
+        return Proprioception(
+            joint_angles=robot.joint_angles,
+            joint_velocities=robot.joint_velocities,
+            angular_velocity_b=rotations.rotate_inverse(
+                base, robot.body_angular_velocity[:, g1.ROOT]
+            ),
+            base_quat=base,
+        )
+
+    def _frame(self) -> torch.Tensor:
+        return observation.frame(self._proprioception(), self.action, self._default)
+
+    def command(self) -> Command:
+        """Targets for t + 1: the reference's head and hands."""
+        reference = self.task.next_reference()
+        points = key_point_poses(reference.body_position, reference.body_quat)
+        return Command(KeyPoints(*points), key_point_velocities(reference))
+
+    def observe(self) -> torch.Tensor:
+        """The student's input, ``(n, 2376)``."""
+        robot = self.task.robot_state()
+        position, quat = key_point_poses(robot.body_position, robot.body_quat)
+        measured = KeyPoints(position + self._error, quat)
+        heading = rotations.heading(robot.body_quat[:, g1.ROOT])
+        task = observation.task(self.command(), measured, heading)
+        return observation.student(task, self.history)
+
+    def step(self, action: torch.Tensor) -> StepResult:
+        """Apply the student's action for one period and take in the new sensors."""
+        result = self.task.step(self.to_target(action))
+        self.action = action.clone()
+        robot = self.task.robot_state()
+        ids = torch.nonzero(result.done).squeeze(-1)
+        self.action[ids] = 0.0
+        self._noise.reset(ids.numpy())
+        velocity = key_point_velocities(robot)[:, 0].numpy()
+        error = self._noise.step(velocity, CONTROL_PERIOD)
+        self._error = torch.from_numpy(error.astype(np.float32))[:, None]
+        frame = self._frame()
+        self.history.push(frame)
+        self.history.refill(ids, frame[ids])
+        return result

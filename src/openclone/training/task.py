@@ -1,0 +1,329 @@
+"""The tracking task: follow the reference motions, many robots at a time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+
+from openclone.policy.teacher import teacher_observation
+from openclone.robot import g1
+from openclone.robot.model import CONTROL_PERIOD, SUBSTEPS, SensorLayout, standing_qpos
+from openclone.robot.state import RobotState, key_point_poses, read_state
+from openclone.spatial import rotations
+from openclone.training.physics import ThreadedPhysics
+from openclone.training.reference import ReferenceMotions
+from openclone.training.rewards import FAST, RewardWeights, TrackingState, total_reward
+
+_BIN = 25
+
+
+@dataclass(frozen=True)
+class TerminationLimits:
+    """When an episode ends early.
+
+    Attributes:
+        height: metres, torso height error (BeyondMimic: 0.25).
+        angle: radians, torso orientation error (BeyondMimic: 0.8).
+        end_effector: metres, height error of wrists and ankles; inf: off.
+        distance: metres, mean distance of head and hands (section 4.1: 1.5).
+    """
+
+    height: float = 0.25
+    angle: float = 0.8
+    end_effector: float = 0.25
+    distance: float = 0.8
+
+
+@dataclass(frozen=True)
+class TaskConfig:
+    """Settings of the tracking task.
+
+    Attributes:
+        num_envs: robots simulated together.
+        episode_steps: control steps until an episode is cut.
+        limits: early termination.
+        weights: reward weights.
+        failure_share: share of resets drawn by failure rate; the rest is uniform.
+        displaced_share: share of resets away from the reference (Table A2, born
+            distance and heading).
+        born_distance: metres, largest displacement.
+        born_heading: radians, largest heading offset.
+        standing_share: share of resets in the standing pose at the reference's place.
+        push_interval: seconds between pushes on average (Table A2: 5).
+        push_speed: m/s, largest horizontal push (Table A2: 1.5).
+    """
+
+    num_envs: int = 256
+    episode_steps: int = 500
+    limits: TerminationLimits = field(default_factory=TerminationLimits)
+    weights: RewardWeights = FAST
+    failure_share: float = 0.7
+    displaced_share: float = 0.1
+    born_distance: float = 0.3
+    born_heading: float = 0.35
+    standing_share: float = 0.0
+    push_interval: float = 5.0
+    push_speed: float = 0.5
+
+
+@dataclass(frozen=True)
+class StepResult:
+    """What one control step brought, n robots.
+
+    Attributes:
+        reward: (n,).
+        terminated: (n,) bool, failed.
+        timed_out: (n,) bool, episode or clip over without failure.
+        terms: mean of each reward term, per second.
+        error: metres, mean key-body error in the world.
+    """
+
+    reward: torch.Tensor
+    terminated: torch.Tensor
+    timed_out: torch.Tensor
+    terms: dict[str, float]
+    error: float
+
+    @property
+    def done(self) -> torch.Tensor:
+        """(n,) bool: episodes that ended and were reset."""
+        return self.terminated | self.timed_out
+
+
+class TrackingTask:
+    """Robots, their place in the reference, and what follows from a joint target.
+
+    ``targets`` are absolute joint angles; the teacher's residual actions and the
+    student's actions are both turned into targets by the trainer.
+    """
+
+    def __init__(
+        self,
+        reference: ReferenceMotions,
+        physics: ThreadedPhysics,
+        layout: SensorLayout,
+        config: TaskConfig,
+        seed: int,
+    ) -> None:
+        """Reset every robot to a random frame of ``reference``."""
+        self.reference = reference
+        self.physics = physics
+        self.config = config
+        self.num_envs = physics.num_envs
+        self.action_scale = torch.tensor(g1.ACTION_SCALE, dtype=torch.float32)
+        self._layout = layout
+        self._rng = np.random.default_rng(seed)
+        self._torch_rng = torch.Generator().manual_seed(seed)
+        n = self.num_envs
+        self.frame = torch.zeros(n, dtype=torch.long)
+        self.age = torch.randint(0, config.episode_steps, (n,), generator=self._torch_rng)
+        self.action = torch.zeros(n, g1.NUM_JOINTS)
+        bins = reference.num_frames // _BIN + 1
+        self.failures = torch.full((bins,), 0.1)
+        self._visits = torch.ones(bins)
+        self._displaced = torch.zeros(n, dtype=torch.bool)
+        self._born_age = torch.zeros(n, dtype=torch.long)
+        ages = self.age.clone()
+        self._reset(torch.arange(n))
+        # Spread the episodes' ends, so that resets do not come all at once.
+        self.age[:] = self._born_age[:] = ages
+
+    # What the policies see -----------------------------------------------------------
+
+    def robot_state(self) -> RobotState:
+        """Current states of the robots, float32."""
+        return self._state
+
+    def next_frame(self) -> torch.Tensor:
+        """(n,) index of the reference frame for the next step, t + 1."""
+        return torch.minimum(self.frame + 1, self.reference.last[self.frame])
+
+    def next_reference(self) -> RobotState:
+        """Reference states at t + 1."""
+        return self.reference.at(self.next_frame())
+
+    def residual_to_target(self, action: torch.Tensor) -> torch.Tensor:
+        """Joint targets of the teacher's action: an offset to the reference angles."""
+        angles = self.reference.frames.joint_angles[self.next_frame()]
+        return angles + self.action_scale * action
+
+    def teacher_observation(self) -> torch.Tensor:
+        """(n, d): the privileged observation of section 3.1."""
+        return teacher_observation(self._state, self.next_reference(), self.action)
+
+    # Stepping ------------------------------------------------------------------------
+
+    def step(self, targets: torch.Tensor) -> StepResult:
+        """Advance one control period towards ``targets (n, 29)``, then reset the dead.
+
+        Returns:
+            Rewards and flags of the step; observations afterwards belong to the new
+            episodes where ``done`` is set.
+        """
+        following = self.next_frame()
+        reference = self.reference.at(following)
+        previous_action = self.action
+        self.action = (targets - reference.joint_angles) / self.action_scale
+        before = self._state.joint_velocities
+        ctrl = np.repeat(targets.numpy().astype(np.float64)[:, None], SUBSTEPS, axis=1)
+        self._push()
+        self.physics.step(ctrl)
+        self.frame = following
+        self.age += 1
+        self._read()
+        tracking = TrackingState(
+            robot=self._state,
+            reference=reference,
+            action=self.action,
+            previous_action=previous_action,
+            previous_velocities=before,
+            period=CONTROL_PERIOD,
+        )
+        per_second, terms = total_reward(tracking, self.config.weights)
+        reward = torch.nan_to_num(per_second).clamp(-10.0, 10.0) * CONTROL_PERIOD
+        terminated = self._failed(reference) | ~torch.isfinite(per_second)
+        over = (self.age >= self.config.episode_steps) | (
+            self.frame >= self.reference.last[self.frame]
+        )
+        timed_out = over & ~terminated
+        self._count_failures(terminated)
+        error = (self._state.body_position - reference.body_position).norm(dim=-1)
+        ids = torch.nonzero(terminated | timed_out).squeeze(-1)
+        if len(ids):
+            self._reset(ids)
+        return StepResult(
+            reward=reward,
+            terminated=terminated,
+            timed_out=timed_out,
+            terms={name: float(value.mean()) for name, value in terms.items()},
+            error=float(error.mean()),
+        )
+
+    def _read(self) -> None:
+        def tensor(values: np.ndarray) -> torch.Tensor:
+            return torch.from_numpy(values.astype(np.float32))
+
+        physics = self.physics
+        self._state = read_state(
+            self._layout,
+            tensor(physics.qpos),
+            tensor(physics.qvel),
+            tensor(physics.sensordata),
+        )
+
+    def _push(self) -> None:
+        """Kick some robots sideways (Table A2, push robot)."""
+        chance = CONTROL_PERIOD / self.config.push_interval
+        ids = np.flatnonzero(self._rng.random(self.num_envs) < chance)
+        if len(ids) and self.config.push_speed > 0:
+            kick = np.zeros((len(ids), 3))
+            kick[:, :2] = self._rng.uniform(-1, 1, (len(ids), 2))
+            self.physics.push(ids, kick * self.config.push_speed)
+
+    def _failed(self, reference: RobotState) -> torch.Tensor:
+        """(n,) bool: beyond the termination limits."""
+        limits, robot, torso = self.config.limits, self._state, g1.TORSO
+        height = robot.body_position[:, torso, 2] - reference.body_position[:, torso, 2]
+        up = rotations.rotate(robot.body_quat[:, torso], torch.tensor([0.0, 0, 1]))
+        up_wanted = rotations.rotate(
+            reference.body_quat[:, torso], torch.tensor([0.0, 0, 1])
+        )
+        tilt = torch.arccos((up * up_wanted).sum(-1).clamp(-1, 1))
+        angle = rotations.angle_between(
+            robot.body_quat[:, torso], reference.body_quat[:, torso]
+        )
+        ends = [*g1.FEET, *g1.WRISTS]
+        end_height = (
+            robot.body_position[:, ends, 2] - reference.body_position[:, ends, 2]
+        )
+        points, _ = key_point_poses(robot.body_position, robot.body_quat)
+        wanted, _ = key_point_poses(reference.body_position, reference.body_quat)
+        distance = (points - wanted).norm(dim=-1).mean(-1)
+        # Robots born away from the reference get time to come closer.
+        settling = self._displaced & (self.age < self._born_age + 150)
+        strict = (
+            (height.abs() > limits.height)
+            | (angle > limits.angle)
+            | (end_height.abs() > limits.end_effector).any(-1)
+            | (distance > limits.distance)
+        )
+        loose = (
+            (height < -2 * limits.height)
+            | (tilt > 1.2)
+            | (distance > limits.distance + 1.5)
+        )
+        return torch.where(settling, loose, strict)
+
+    # Resetting -----------------------------------------------------------------------
+
+    def _count_failures(self, terminated: torch.Tensor) -> None:
+        """Keep the failure rate of each half-second bin as a moving average."""
+        bins = self.frame // _BIN
+        size = len(self.failures)
+        self.failures *= 0.9995
+        self._visits *= 0.9995
+        self._visits += torch.bincount(bins, minlength=size) / _BIN
+        if terminated.any():
+            self.failures += torch.bincount(bins[terminated], minlength=size)
+
+    def _sample_frames(self, count: int) -> torch.Tensor:
+        """Start frames: partly where robots fail, partly uniform, up to 1 s earlier."""
+        rate = (self.failures / (self._visits + 1.0)).clamp(max=0.5) + 0.02
+        share = self.config.failure_share
+        chance = share * rate / rate.sum() + (1 - share) / len(rate)
+        bins = torch.multinomial(
+            chance, count, replacement=True, generator=self._torch_rng
+        )
+        offset = torch.randint(-_BIN, _BIN, (count,), generator=self._torch_rng)
+        last_frame = self.reference.num_frames - 1
+        wanted = (bins * _BIN).clamp(max=last_frame)
+        first = torch.searchsorted(
+            self.reference.clip, self.reference.clip[wanted].contiguous()
+        )
+        last = self.reference.last[wanted]
+        latest = torch.maximum(first, last - _BIN)
+        return torch.minimum(torch.maximum(wanted + offset, first), latest)
+
+    def _reset(self, ids: torch.Tensor) -> None:
+        """Start new episodes on (or near) the reference."""
+        count, rng, config = len(ids), self._rng, self.config
+        start = self._sample_frames(count)
+        qpos = self.reference.qpos[start.numpy()].copy()
+        qvel = self.reference.qvel[start.numpy()].copy()
+        draw = rng.random(count)
+        standing = draw < config.standing_share
+        displaced = draw > 1.0 - config.displaced_share
+        self._to_standing(qpos, qvel, standing)
+        self._displace(qpos, qvel, displaced)
+        qpos[:, 7:] += 0.05 * rng.standard_normal((count, g1.NUM_JOINTS))
+        qpos[:, 2] += 0.01
+        qvel[:, :6] += 0.1 * rng.standard_normal((count, 6))
+        self.frame[ids] = start
+        self.age[ids] = 0
+        self._born_age[ids] = 0
+        self._displaced[ids] = torch.from_numpy(standing | displaced)
+        self.physics.reset(ids.numpy(), qpos, qvel)
+        self._read()
+        self.action[ids] = 0.0
+
+    @staticmethod
+    def _to_standing(qpos: np.ndarray, qvel: np.ndarray, chosen: np.ndarray) -> None:
+        """Replace the chosen states by the standing pose at the same place."""
+        heading = rotations.heading(qpos[chosen, 3:7])
+        qpos[chosen, 2:] = standing_qpos()[2:]
+        qpos[chosen, 3:7] = heading
+        qvel[chosen] = 0.0
+
+    def _displace(self, qpos: np.ndarray, qvel: np.ndarray, chosen: np.ndarray) -> None:
+        """Move and turn the chosen states away from the reference (Table A2)."""
+        count = int(chosen.sum())
+        angle = self._rng.uniform(-np.pi, np.pi, count)
+        distance = self.config.born_distance * np.sqrt(self._rng.random(count))
+        offset = np.stack((np.cos(angle), np.sin(angle)), -1)
+        qpos[chosen, :2] += distance[:, None] * offset
+        limit = self.config.born_heading
+        turn = rotations.from_yaw(self._rng.uniform(-limit, limit, count))
+        qpos[chosen, 3:7] = rotations.multiply(turn, qpos[chosen, 3:7])
+        qvel[chosen, :3] = rotations.rotate(turn, qvel[chosen, :3])
