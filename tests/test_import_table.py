@@ -32,7 +32,7 @@ TABLE: dict[str, set[str]] = {
 # Rooms that must run on a robot's computer, where no learning framework is installed.
 HEAVY = {
     "torch": {"spatial", "policy", "training"},
-    "rsl_rl": {"training"},
+    "rsl_rl": {"policy", "training"},
     "mink": {"motion"},
     "viser": {"viewer"},
     "mjviser": {"viewer"},
