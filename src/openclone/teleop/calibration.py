@@ -1,0 +1,195 @@
+"""From the operator's body and room to the robot's: scale, heading and origin.
+
+The operator stands, the robot stands; one frame fixes the map. The head follows the
+operator's head, scaled by height. A hand follows the operator's wrist as seen from the
+shoulder, scaled by arm length, so that a stretched arm stays a stretched arm. Shoulders
+are not tracked: they are placed below the head by the proportions of the body.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from openclone.errors import InputError
+from openclone.policy.command import KeyPoints
+from openclone.robot import g1
+from openclone.robot.kinematics import Kinematics
+from openclone.robot.model import standing_qpos
+from openclone.spatial import rotations
+
+_SIDES = np.array([1.0, -1.0])
+
+
+@dataclass(frozen=True)
+class BodyProportions:
+    """The operator's body as shares of the height of the head point when standing.
+
+    Human averages (Drillis and Contini 1966), with the head point at 0.93 of stature.
+
+    Attributes:
+        shoulder_forward, shoulder_side, shoulder_down: shoulder from the head point,
+            in the head's heading frame.
+        arm: shoulder to wrist, stretched.
+    """
+
+    shoulder_forward: float = 0.0
+    shoulder_side: float = 0.115
+    shoulder_down: float = 0.12
+    arm: float = 0.357
+
+
+@dataclass(frozen=True)
+class CalibrationConfig:
+    """How the operator's body becomes the robot's.
+
+    Attributes:
+        operator_head_height: metres, head point above the floor when standing
+            upright; None: its height in the frame of calibration.
+        travel_scale: metres of the robot per metre of the operator's way; None: the
+            ratio of heights, so that strides fit the robot's legs; 1.0: the robot
+            goes exactly as far as the operator, as in the paper's experiments.
+        proportions: of the operator's body.
+        reach: metres, the hand point stays this near to the robot's shoulder.
+    """
+
+    operator_head_height: float | None = None
+    travel_scale: float | None = None
+    proportions: BodyProportions = field(default_factory=BodyProportions)
+    reach: float = 0.42
+
+
+@dataclass(frozen=True)
+class RobotBody:
+    """The standing robot's measures, from its kinematics.
+
+    Attributes:
+        head_height: metres, head key point above the ground.
+        shoulder: (2, 3), metres, left and right shoulder from the head key point,
+            in the heading frame.
+        arm: metres, shoulder to wrist, stretched.
+    """
+
+    head_height: float
+    shoulder: np.ndarray
+    arm: float
+
+    @staticmethod
+    def of(kinematics: Kinematics) -> RobotBody:
+        """Measure the robot in its standing pose and with straight arms."""
+        qpos = standing_qpos()
+        points, _ = kinematics.key_points(qpos)
+        # Arms hanging straight: from the roll joint's height down to the wrist.
+        elbow = g1.joint_index("left_elbow_joint")
+        qpos[7 + g1.joint_index("left_shoulder_pitch_joint") : 7 + elbow] = 0.0
+        qpos[7 + elbow] = 0.5 * np.pi
+        bodies, _ = kinematics.bodies(qpos)
+        upper = bodies[g1.KEY_BODIES.index("left_shoulder_roll_link")]
+        wrist = bodies[g1.WRISTS[0]]
+        left = np.array([upper[0], wrist[1], upper[2]]) - points[0]
+        return RobotBody(
+            head_height=float(points[0, 2]),
+            shoulder=np.stack((left, left * np.array([1.0, -1.0, 1.0]))),
+            arm=float(np.linalg.norm(wrist - (points[0] + left))),
+        )
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """The map from the operator's world to the robot's odometry world.
+
+    Attributes:
+        turn: (4,), wxyz, yaw only, robot's world from operator's.
+        operator_origin, robot_origin: (2,), metres, ground points that correspond.
+        head_scale: of heights; travel_scale: of horizontal ways.
+        operator_shoulder: (2, 3), metres, from the head point, heading frame.
+        robot: the robot's measures.
+        arm_scale: of the hand as seen from the shoulder.
+        reach: metres, limit of the hand's distance from the shoulder.
+    """
+
+    turn: np.ndarray
+    operator_origin: np.ndarray
+    robot_origin: np.ndarray
+    head_scale: float
+    travel_scale: float
+    operator_shoulder: np.ndarray
+    robot: RobotBody
+    arm_scale: float
+    reach: float
+
+    def apply(self, positions: np.ndarray, quats: np.ndarray) -> KeyPoints:
+        """Map operator points ``(..., 3, 3)`` and ``(..., 3, 4)`` to robot targets."""
+        turn = np.broadcast_to(self.turn, quats.shape)
+        origin = np.append(self.operator_origin, 0.0)
+        place = rotations.rotate(turn, positions - origin)
+        quat = rotations.multiply(turn, quats)
+        head = place[..., 0, :] * self._scale()
+        head[..., :2] += self.robot_origin
+        heading = rotations.heading(quat[..., :1, :]) + 0.0 * quat[..., 1:, :]
+        shoulder = rotations.rotate(
+            heading, self.operator_shoulder + 0 * place[..., 1:, :]
+        )
+        arm = place[..., 1:, :] - place[..., :1, :] - shoulder
+        hand = self._hand(arm * self.arm_scale, heading, quat[..., 1:, :])
+        hands = head[..., None, :] + hand
+        return KeyPoints(np.concatenate((head[..., None, :], hands), -2), quat)
+
+    def _scale(self) -> np.ndarray:
+        return np.array([self.travel_scale, self.travel_scale, self.head_scale])
+
+    def _hand(
+        self, wrist: np.ndarray, heading: np.ndarray, quat: np.ndarray
+    ) -> np.ndarray:
+        """Hand from the head point; ``wrist (..., 2, 3)`` is seen from the shoulder."""
+        hand = wrist + rotations.rotate(quat, np.array(g1.HAND_OFFSET) + 0 * wrist)
+        distance = rotations.norm(hand)
+        hand = hand * np.minimum(1.0, self.reach / np.maximum(distance, 1e-9))
+        return hand + rotations.rotate(heading, self.robot.shoulder + 0 * wrist)
+
+
+def calibrate(
+    positions: np.ndarray,
+    quats: np.ndarray,
+    measured: KeyPoints,
+    heading: np.ndarray,
+    body: RobotBody,
+    config: CalibrationConfig,
+) -> Calibration:
+    """Fix the map from one frame of a standing operator.
+
+    Args:
+        positions: (3, 3), metres, operator's world.
+        quats: (3, 4), wxyz, operator's world from point.
+        measured: the robot's head and hands now, by odometry.
+        heading: (4,), wxyz, yaw only, of the robot's base now.
+        body: the robot's measures.
+        config: how the bodies correspond.
+
+    Raises:
+        InputError: the head is not at a human height.
+    """
+    height = config.operator_head_height or float(positions[0, 2])
+    if not 0.5 <= height <= 2.5:
+        raise InputError(
+            f"the operator's head is {height:.2f} m above the floor",
+            where="calibration",
+            remedy="stand upright; check the headset's floor level and its unit",
+        )
+    scale = body.head_height / height
+    part = config.proportions
+    side = _SIDES[:, None] * np.array([0.0, part.shoulder_side, 0.0])
+    shoulder = side + np.array([part.shoulder_forward, 0.0, -part.shoulder_down])
+    turn = rotations.multiply(heading, rotations.conjugate(rotations.heading(quats[0])))
+    return Calibration(
+        turn=turn,
+        operator_origin=positions[0, :2].copy(),
+        robot_origin=measured.position[0, :2].copy(),
+        head_scale=scale,
+        travel_scale=scale if config.travel_scale is None else config.travel_scale,
+        operator_shoulder=shoulder * height,
+        robot=body,
+        arm_scale=body.arm / (part.arm * height),
+        reach=config.reach,
+    )
