@@ -1,0 +1,349 @@
+"""The project's own motions: G1 clips made from a seed, for every category.
+
+The clips need no recording and no retargeting. Feet neither slide nor sink, and the
+zero-moment point stays inside the soles, because the motions are planned that way
+(`choreography`) and solved for the whole body (`whole_body`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from openclone.errors import InputError
+from openclone.motion.clip import CATEGORIES, Clip, ClipInfo, clip_from_qpos
+from openclone.motion.sources import gestures
+from openclone.motion.sources.choreography import FPS, Choreography, Gait
+from openclone.motion.sources.track import oscillation
+from openclone.motion.sources.whole_body import Unreachable, solve
+
+LICENCE = "Apache-2.0, made by OpenClone"
+_SHARES = {
+    "stand": 1.2, "forward": 1.6, "backward": 1.0, "stepside": 1.0, "turn": 1.4,
+    "squat": 1.0, "crouchwalk": 0.8, "jump": 0.5, "punch": 0.8, "wave": 0.8,
+    "reach": 0.8, "pickup": 0.8, "transition": 1.6,
+}  # fmt: skip
+"""How many clips of each category a default set holds, relative to each other."""
+_MEAN_CLIP_S = 7.5
+
+
+def _start(rng: np.random.Generator, **changes: float | bool) -> Choreography:
+    """A robot standing quietly in a pose of its own."""
+    settings = {
+        "width": rng.uniform(0.21, 0.26),
+        "height": rng.uniform(0.745, 0.772),
+        "toe_out": rng.uniform(0.0, 0.1),
+    }
+    score = Choreography(
+        rng,
+        arms=gestures.hanging_arms(rng),
+        stagger=float(changes.get("stagger", 0.0)),
+        ballistic=bool(changes.get("ballistic", False)),
+        **{key: float(changes.get(key, value)) for key, value in settings.items()},
+    )
+    score.hold(rng.uniform(0.7, 1.2))
+    return score
+
+
+def _finish(score: Choreography) -> None:
+    """Stand quietly at the end; breathe and sway a little throughout."""
+    rng = score.rng
+    score.hold(rng.uniform(0.8, 1.3))
+    end_s = score.time_s
+    for track, scale in ((score.waist, 0.02), (score.arms, 0.03), (score.zmp, 0.004)):
+        size = len(track.end)
+        for hertz in (0.15, 0.3, 0.5):
+            amount = scale * rng.normal(size=size)
+            cycles = hertz * end_s * rng.uniform(0.8, 1.2)
+            track.add(0.0, end_s, amount, oscillation(cycles))
+
+
+def _walk(score: Choreography, gait: Gait, steps: int, height: float) -> None:
+    """Sink to walking height, walk, and straighten up again."""
+    upright = float(score.height.end[0])
+    score.change_height(height, 0.5)
+    score.walk(gait, steps)
+    score.time_s -= 0.5
+    score.change_height(upright, 0.9)
+    score.hold(0.7)
+
+
+def _gait(rng: np.random.Generator, speed: float) -> tuple[Gait, float]:
+    """A straight gait at ``speed`` m/s (negative: backward) and its pelvis height."""
+    step_s = float(np.clip(0.68 - 0.22 * abs(speed) + rng.normal(0, 0.03), 0.42, 0.75))
+    gait = Gait(
+        forward=speed * step_s,
+        step_s=step_s,
+        shift_s=step_s * rng.uniform(0.22, 0.3),
+        clearance=rng.uniform(0.04, 0.065),
+        heel=max(speed, 0.0) * rng.uniform(0.1, 0.3),
+        bob=rng.uniform(0.003, 0.01),
+    )
+    height = 0.755 - 0.28 * gait.forward**2 - rng.uniform(0.005, 0.03)
+    return gait, height
+
+
+def _steps(rng: np.random.Generator, gait: Gait) -> int:
+    """Number of steps that fills 3 to 7 seconds."""
+    return round(rng.uniform(3.0, 7.0) / gait.step_s)
+
+
+def _stand(score: Choreography) -> None:
+    rng = score.rng
+    for _ in range(int(rng.integers(1, 4))):
+        kind = rng.integers(4)
+        seconds = rng.uniform(1.2, 2.0)
+        start_s = score.time_s
+        if kind == 0:
+            score.shift_weight(int(rng.integers(2)), rng.uniform(0.2, 0.7), seconds)
+        elif kind == 1:
+            score.arms.move(start_s, start_s + seconds, gestures.hanging_arms(rng))
+        elif kind == 2:
+            twist = [rng.uniform(-0.5, 0.5), rng.uniform(-0.1, 0.1), 0.0]
+            score.waist.bump(start_s, start_s + 2 * seconds, twist)
+            score.hold(seconds)
+        else:
+            score.lean(rng.uniform(-0.05, 0.25), start_s, start_s + seconds)
+        score.hold(seconds)
+    score.lean(0.0, score.time_s, score.time_s + 1.0)
+    score.settle(1.0)
+
+
+def _forward(score: Choreography) -> None:
+    speed = score.rng.uniform(0.2, 0.9)
+    gait, height = _gait(score.rng, speed)
+    score.lean(0.08 * speed, score.time_s, score.time_s + 0.8)
+    _walk(score, gait, _steps(score.rng, gait), height)
+
+
+def _backward(score: Choreography) -> None:
+    gait, height = _gait(score.rng, -score.rng.uniform(0.15, 0.5))
+    _walk(score, gait, _steps(score.rng, gait), height)
+
+
+def _stepside(score: Choreography) -> None:
+    rng = score.rng
+    gait = Gait(
+        sideways=rng.uniform(0.06, 0.12) * rng.choice([-1.0, 1.0]),
+        step_s=rng.uniform(0.45, 0.62),
+        shift_s=rng.uniform(0.14, 0.2),
+        clearance=rng.uniform(0.035, 0.06),
+    )
+    # An even number of steps: the trailing foot has closed up.
+    _walk(score, gait, 2 * (_steps(rng, gait) // 2), rng.uniform(0.70, 0.735))
+
+
+def _turn(score: Choreography) -> None:
+    rng = score.rng
+    sign = rng.choice([-1.0, 1.0])
+    if rng.uniform() < 0.5:
+        gait = Gait(
+            turn=sign * rng.uniform(0.25, 0.6),
+            step_s=rng.uniform(0.48, 0.62),
+            shift_s=rng.uniform(0.14, 0.2),
+            clearance=rng.uniform(0.035, 0.055),
+        )
+        height = rng.uniform(0.71, 0.74)
+    else:
+        straight, height = _gait(rng, rng.uniform(0.2, 0.6))
+        gait = Gait(
+            **{**vars(straight), "turn": sign * rng.uniform(0.12, 0.4)},
+        )
+    _walk(score, gait, 2 * (_steps(rng, gait) // 2), height)
+
+
+def _squat(score: Choreography) -> None:
+    rng = score.rng
+    upright = float(score.height.end[0])
+    for _ in range(int(rng.integers(1, 3))):
+        low = rng.uniform(0.33, 0.6)
+        seconds = rng.uniform(1.1, 2.0)
+        start_s = score.time_s
+        _crouch(score, low, seconds)
+        if rng.uniform() < 0.5:
+            arm = np.array([-rng.uniform(0.6, 1.3), 0.15, 0.0, 1.0, 0.0, 0.0, 0.0])
+            both = np.concatenate((arm, gestures.mirrored(arm, 1)))
+            before = score.arms.end.copy()
+            score.arms.move(start_s, start_s + seconds, both)
+            score.hold(seconds + rng.uniform(0.1, 0.8))
+            score.arms.move(score.time_s, score.time_s + seconds, before)
+        else:
+            score.hold(seconds + rng.uniform(0.1, 0.8))
+        _crouch(score, upright, seconds)
+        score.hold(seconds)
+
+
+def _crouch(score: Choreography, height: float, seconds: float) -> None:
+    """Go to a pelvis height with the trunk bent as far as balance asks."""
+    depth = np.clip((0.74 - height) / 0.44, 0.0, 1.0)
+    score.change_height(height, seconds)
+    score.lean(0.75 * float(depth) ** 0.6, score.time_s, score.time_s + seconds)
+
+
+def _crouchwalk(score: Choreography) -> None:
+    rng = score.rng
+    upright = float(score.height.end[0])
+    low = rng.uniform(0.56, 0.66)
+    _crouch(score, low, 1.3)
+    score.hold(1.0)
+    gait, _ = _gait(rng, rng.uniform(0.12, 0.4))
+    _walk(score, gait, _steps(rng, gait), low)
+    _crouch(score, upright, 1.2)
+    score.hold(1.2)
+
+
+def _jump(score: Choreography) -> None:
+    rng = score.rng
+    for _ in range(int(rng.integers(1, 3))):
+        _jump_once(score)
+        score.hold(rng.uniform(0.4, 0.8))
+
+
+def _jump_once(score: Choreography) -> None:
+    rng = score.rng
+    before = score.arms.end.copy()
+    back = np.zeros(14)
+    back[[0, 7]] = rng.uniform(0.3, 0.6)
+    start_s = score.time_s
+    score.arms.move(start_s, start_s + 0.6, before + back)
+    score.arms.move(start_s + 0.6, start_s + 1.0, before - 1.5 * back)
+    score.arms.move(start_s + 1.1, start_s + 1.9, before)
+    score.lean(rng.uniform(0.4, 0.6), start_s, start_s + 0.6)
+    score.lean(0.0, start_s + 0.6, start_s + 1.0)
+    score.jump(
+        rng.uniform(0.04, 0.07),
+        rng.uniform(0.13, 0.17),
+        rng.choice([0.0, 0.0, 0.1]),
+        rng.uniform(0.03, 0.05),
+    )
+
+
+def _wave(score: Choreography) -> None:
+    rng = score.rng
+    seconds = rng.uniform(3.0, 6.0)
+    sides = [0, 1] if rng.uniform() < 0.25 else [int(rng.integers(2))]
+    for side in sides:
+        gestures.wave(score, side, score.time_s, seconds)
+    score.hold(seconds)
+
+
+def _punch(score: Choreography) -> None:
+    rng = score.rng
+    relaxed = score.arms.end.copy()
+    gestures.raise_guard(score, 0.8)
+    score.change_height(rng.uniform(0.69, 0.74), 0.8)
+    score.hold(0.9)
+    side = int(rng.integers(2))
+    for _ in range(int(rng.integers(2, 7))):
+        score.hold(gestures.punch(score, side, score.time_s) + rng.uniform(0.1, 0.5))
+        side = 1 - side if rng.uniform() < 0.7 else side
+    score.arms.move(score.time_s, score.time_s + 0.9, relaxed)
+    score.hold(0.9)
+
+
+def _reach(score: Choreography) -> None:
+    rng = score.rng
+    for _ in range(int(rng.integers(1, 4))):
+        sides = [0, 1] if rng.uniform() < 0.4 else [int(rng.integers(2))]
+        seconds = rng.uniform(0.8, 1.5)
+        start_s = score.time_s
+        before = score.arms.end.copy()
+        for side in sides:
+            arm = gestures.reaching_arm(side, gestures.random_reach(rng, side))
+            gestures.move_arm(score, side, arm, start_s, start_s + seconds)
+        score.lean(rng.uniform(0.0, 0.3), start_s, start_s + seconds)
+        score.hold(seconds + rng.uniform(0.2, 0.9))
+        score.arms.move(score.time_s, score.time_s + seconds, before)
+        score.lean(0.0, score.time_s, score.time_s + seconds)
+        score.hold(seconds)
+
+
+def _pickup(score: Choreography) -> None:
+    rng = score.rng
+    upright, before = float(score.height.end[0]), score.arms.end.copy()
+    low, seconds = rng.uniform(0.32, 0.5), rng.uniform(1.3, 2.0)
+    start_s = score.time_s
+    _crouch(score, low, seconds)
+    sides = [0, 1] if rng.uniform() < 0.6 else [int(rng.integers(2))]
+    for side in sides:
+        sign = 1.0 if side == 0 else -1.0
+        point = np.array([rng.uniform(0.25, 0.33), sign * rng.uniform(0.08, 0.2), -0.1])
+        arm = gestures.reaching_arm(side, point)
+        gestures.move_arm(score, side, arm, start_s + 0.2, start_s + seconds)
+    score.hold(seconds + rng.uniform(0.3, 0.8))
+    carry = np.array([-0.2, 0.2, 0.0, rng.uniform(0.0, 0.5), 0.0, 0.0, 0.0])
+    for side in sides:
+        arm = gestures.mirrored(carry, side)
+        gestures.move_arm(score, side, arm, score.time_s, score.time_s + seconds)
+    _crouch(score, upright, seconds)
+    score.hold(seconds + rng.uniform(0.3, 0.8))
+    score.arms.move(score.time_s, score.time_s + 1.0, before)
+    score.hold(1.0)
+
+
+def _transition(score: Choreography) -> None:
+    rng = score.rng
+    parts = (_forward, _turn, _stepside, _wave, _squat, _backward, _reach)
+    chosen = rng.choice(len(parts), size=2, replace=False)
+    for index in chosen:
+        parts[index](score)
+        score.hold(rng.uniform(0.2, 0.6))
+
+
+_CHOREOGRAPHIES: dict[str, Callable[[Choreography], None]] = {
+    "stand": _stand, "forward": _forward, "backward": _backward,
+    "stepside": _stepside, "turn": _turn, "squat": _squat,
+    "crouchwalk": _crouchwalk, "jump": _jump, "punch": _punch, "wave": _wave,
+    "reach": _reach, "pickup": _pickup, "transition": _transition,
+}  # fmt: skip
+
+
+def generate(category: str, rng: np.random.Generator, name: str = "") -> Clip:
+    """Make one clip at 50 frames per second.
+
+    Args:
+        category: one of `clip.CATEGORIES`.
+        rng: source of all chance; equal states give equal clips.
+        name: the clip's name; by default ``synthetic/<category>``.
+
+    Raises:
+        InputError: there is no such category.
+    """
+    if category not in _CHOREOGRAPHIES:
+        raise InputError(
+            f"unknown category {category!r}",
+            remedy="use one of " + ", ".join(CATEGORIES),
+        )
+    info = ClipInfo(
+        name or f"synthetic/{category}",
+        category,
+        "openclone synthetic generator",
+        LICENCE,
+        FPS,
+    )
+    while True:
+        if category == "jump":
+            score = _start(rng, ballistic=True, height=rng.uniform(0.67, 0.68))
+        elif category == "stepside":
+            score = _start(rng, width=rng.uniform(0.18, 0.21))
+        else:
+            score = _start(rng)
+        _CHOREOGRAPHIES[category](score)
+        _finish(score)
+        try:
+            return clip_from_qpos(info, solve(score.plan()))
+        except Unreachable:
+            continue  # The chosen step is too long for the chosen height: draw again.
+
+
+def default_set(seed: int, minutes: float = 10.0) -> list[Clip]:
+    """About ``minutes`` of motion of all categories, the same for the same seed."""
+    total = sum(_SHARES.values())
+    clips = []
+    for index, category in enumerate(CATEGORIES):
+        share = minutes * 60.0 / _MEAN_CLIP_S * _SHARES[category] / total
+        for number in range(max(1, round(share))):
+            rng = np.random.default_rng([seed, index, number])
+            clips.append(generate(category, rng, f"synthetic/{category}_{number:02d}"))
+    return clips
