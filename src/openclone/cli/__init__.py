@@ -10,52 +10,27 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable
-from pathlib import Path
 
+from openclone.cli.facts import policy_info, robot_joints, version
+from openclone.cli.learning import train_student, train_teacher
+from openclone.cli.measuring import evaluate_standing, evaluate_tracking
+from openclone.cli.motions import motions_inspect, motions_retarget, motions_synthesize
+from openclone.cli.running import demo, teleop, view
 from openclone.errors import InputError, OpenCloneError
 
-
-def robot_joints(name: str | None = None, /) -> None:
-    """Print the G1's joints (or one): limits, standing angle, motor, gains, sources."""
-    from openclone.robot import g1
-
-    chosen = range(g1.NUM_JOINTS) if name is None else [g1.joint_index(name)]
-    print("no joint                          lower    upper  default", end=" ")
-    print(" N m rad/s  N m/rad N m s/rad")
-    for index in chosen:
-        joint = g1.JOINTS[index]
-        motor = joint.motor
-        print(
-            f"{index:2d} {joint.name:27} {joint.lower:8.4f} {joint.upper:8.4f} "
-            f"{joint.default:8.2f} {motor.max_torque:4.0f} {motor.max_speed:5.0f} "
-            f"{motor.kp:8.2f} {motor.kd:9.2f}"
-        )
-    print("sources:", " ".join((g1.__doc__ or "").partition("Sources: ")[2].split()))
-
-
-def policy_info(bundle: Path | None = None, /) -> None:
-    """Print what a policy bundle (default: the packaged one) was trained for."""
-    from openclone.policy.bundle import load_bundle, packaged_bundle
-
-    path = bundle or packaged_bundle()
-    info = load_bundle(path).info
-    print(f"file         {path} ({path.stat().st_size / 1e6:.1f} MB)")
-    for name in ("name", "layout", "history", "observation_size", "control_hz"):
-        print(f"{name:12} {getattr(info, name)}")
-    print(f"{'data_hash':12} {info.data_hash}")
-    print(f"{'training':12} {info.training}")
-
-
-def version() -> None:
-    """Print the version."""
-    from importlib.metadata import version as installed
-
-    print(f"openclone {installed('openclone')}")
-
-
 COMMANDS: dict[str, Callable[..., None]] = {
-    "robot joints": robot_joints,
+    "demo": demo,
+    "teleop": teleop,
+    "view": view,
+    "evaluate tracking": evaluate_tracking,
+    "evaluate standing": evaluate_standing,
+    "train teacher": train_teacher,
+    "train student": train_student,
+    "motions synthesize": motions_synthesize,
+    "motions retarget": motions_retarget,
+    "motions inspect": motions_inspect,
     "policy info": policy_info,
+    "robot joints": robot_joints,
     "version": version,
 }
 
@@ -117,7 +92,3 @@ def main() -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
