@@ -14,13 +14,12 @@ from openclone.policy.controller import StudentController
 from openclone.robot.model import standing_qpos
 from openclone.simulation.robot import SimulatedRobot
 from openclone.spatial.clock import ManualClock, MonotonicClock
+from openclone.teleop.calibration import measure_operator
 from openclone.teleop.loop import LoopConfig, LoopStats, TeleopLoop
 from openclone.teleop.messages import OperatorRecording, Subscriber, check_recording
 from openclone.teleop.operators.replay import ReplayConfig, ReplayOperator
 from openclone.teleop.recorder import TickLog, TickRecorder
 from openclone.teleop.robots.simulated import SimulatedLink
-
-_STANDING_PERCENTILE = 90.0
 
 
 @dataclass(frozen=True)
@@ -45,15 +44,6 @@ class SessionResult:
     stats: LoopStats
     log: TickLog
     recording_time_s: np.ndarray
-
-
-def standing_head_height(recording: OperatorRecording) -> float:
-    """Metres; the head's height when the operator stands upright.
-
-    A recording may begin in a crouch, so the height comes from all of it; not its
-    maximum, which may be a jump.
-    """
-    return float(np.percentile(recording.positions[:, 0, 2], _STANDING_PERCENTILE))
 
 
 def run_teleop(
@@ -88,9 +78,12 @@ def run_teleop(
     check_recording(recording)
     config = config or SessionConfig()
     loop_config = config.loop
-    if loop_config.calibration.operator_head_height is None:
-        height = standing_head_height(recording)
-        calibration = replace(loop_config.calibration, operator_head_height=height)
+    calibration = loop_config.calibration
+    if calibration.operator is None:
+        operator_body = measure_operator(
+            recording.positions, recording.quats, calibration.proportions
+        )
+        calibration = replace(calibration, operator=operator_body)
         loop_config = replace(loop_config, calibration=calibration)
     if robot is None:
         robot = SimulatedRobot()
