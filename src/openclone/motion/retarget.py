@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import mink
 import mujoco
@@ -17,7 +17,7 @@ from openclone.robot import g1
 from openclone.robot.model import SOLE_CORNERS, SOLE_Z, build_model
 from openclone.spatial import rotations
 
-VERSION = 1
+VERSION = 2
 """Raise when the output changes: cached clips of older versions are made again."""
 FPS = 50.0
 THIGH, SHANK, UPPER_ARM, FOREARM = 0.306, 0.318, 0.185, 0.184
@@ -48,8 +48,9 @@ class RetargetConfig:
         smooth_s: seconds, width of the Gaussian over the targets.
         max_joint_speed: radians per second.
         clearance: metres that links keep from each other.
-        solves: IK steps per frame.
+        solves: IK steps per frame, at most.
         first_solves: IK steps for the first frame.
+        converged: radians; smaller steps end a frame early.
     """
 
     crouch: float = 0.97
@@ -58,8 +59,9 @@ class RetargetConfig:
     smooth_s: float = 0.03
     max_joint_speed: float = 15.0
     clearance: float = 0.005
-    solves: int = 2
+    solves: int = 4
     first_solves: int = 120
+    converged: float = 0.002
 
 
 @dataclass(frozen=True)
@@ -120,15 +122,13 @@ def _direction(motion: HumanMotion, start: str, end: str, sigma: float) -> np.nd
 
 
 def _foot_angles(motion: HumanMotion, side: str) -> tuple[np.ndarray, np.ndarray]:
-    """Yaw and pitch (T,) of the line from ankle to ball, radians, pitch up positive.
+    """Yaw and pitch (T,) of the foot, radians, pitch up positive.
 
-    The yaw comes from the foot's sideways axis, which stays level when the foot points
-    straight down.
+    The yaw is the twist of the foot's rotation about the vertical, which stays defined
+    when the foot points straight down; the pitch that of the line from ankle to ball.
     """
-    across = rotations.rotate(
-        motion.orientation(f"{side}_ankle"), np.array([0.0, 1, 0])
-    )
-    yaw = np.unwrap(np.arctan2(-across[:, 0], across[:, 1]))
+    quat = motion.orientation(f"{side}_ankle")
+    yaw = np.unwrap(2.0 * np.arctan2(quat[:, 3], quat[:, 0]))
     bone = motion.joint(f"{side}_toe") - motion.joint(f"{side}_ankle")
     ahead = bone[:, 0] * np.cos(yaw) + bone[:, 1] * np.sin(yaw)
     return yaw, np.arctan2(bone[:, 2], ahead)
@@ -193,15 +193,15 @@ def make_targets(motion: HumanMotion, config: RetargetConfig) -> Targets:
     hip[:, 2] = config.crouch * (hip[:, 2] - scale * level) + ANKLE_HEIGHT
     pelvis = hip - rotations.rotate(pelvis_quat, np.array([0.0, 0.0, HIP_HEIGHT]))
     pelvis[:, 2] = _soft_floor(pelvis[:, 2], config.lowest_pelvis)
+    feet = [_foot_targets(motion, contact, side, scale, sigma) for side in SIDES]
+    pelvis[:, 2] -= _reach_drop(pelvis, pelvis_quat, [foot[0] for foot in feet], config)
     torso = pelvis + rotations.rotate(pelvis_quat, TORSO)
-    position, quat = {"pelvis": pelvis}, {"pelvis": pelvis_quat}
-    quat["torso_link"] = torso_quat
+    position = {"pelvis": pelvis}
+    quat = {"pelvis": pelvis_quat, "torso_link": torso_quat}
     hands = _smooth_quat_columns(operator_points(motion)[1][:, 1:], sigma)
     for index, side in enumerate(SIDES):
         ankle = f"{side}_ankle_roll_link"
-        position[ankle], quat[ankle] = _foot_targets(
-            motion, contact, side, scale, sigma
-        )
+        position[ankle], quat[ankle] = feet[index]
         mirrored = SHOULDER * np.array([1.0, 1.0 - 2.0 * index, 1.0])
         shoulder = torso + rotations.rotate(torso_quat, mirrored)
         upper = _direction(motion, f"{side}_shoulder", f"{side}_elbow", sigma)
@@ -217,6 +217,28 @@ def _soft_floor(height: np.ndarray, lowest: float, bend: float = 0.1) -> np.ndar
     """``height``, bent from ``lowest + bend`` on so that it never passes ``lowest``."""
     depth = np.maximum(lowest + bend - height, 0.0)
     return np.where(depth > 0, lowest + bend * np.exp(-depth / bend), height)
+
+
+def _reach_drop(
+    pelvis: np.ndarray, quat: np.ndarray, feet: list[np.ndarray], config: RetargetConfig
+) -> np.ndarray:
+    """Metres (T,) to lower the pelvis so that both legs reach their feet."""
+    longest = np.sqrt(
+        THIGH**2 + SHANK**2 + 2 * THIGH * SHANK * np.cos(config.min_knee + 0.1)
+    )
+    drops = [np.zeros(len(pelvis))]
+    for sign, foot in zip((1.0, -1.0), feet, strict=True):
+        offset = np.array([0.0, sign * HIP_HALF_WIDTH, HIP_HEIGHT])
+        leg = pelvis + rotations.rotate(quat, offset) - foot
+        flat = np.linalg.norm(leg[:, :2], axis=1)
+        height = np.sqrt(np.maximum(longest**2 - flat**2, 0.2**2))
+        drops.append(leg[:, 2] - height)
+    need = np.max(drops, axis=0)
+    reach = round(0.06 * FPS)
+    widened = [
+        np.roll(np.pad(need, reach, mode="edge"), k) for k in range(-reach, reach + 1)
+    ]
+    return smooth(np.max(widened, axis=0)[reach:-reach], reach / 2)
 
 
 def _smooth_quat_columns(quats: np.ndarray, sigma: float) -> np.ndarray:
@@ -250,22 +272,42 @@ def collision_pairs() -> list[tuple[list[str], list[str]]]:
     ]
 
 
-@dataclass
+class _FrameLimit(mink.Limit):
+    """Joint ranges, and how far a joint may move between two frames.
+
+    mink's own velocity limit bounds one solver step; with several steps a frame the
+    solver would either lag or exceed the speed.
+    """
+
+    def __init__(self, lower: np.ndarray, upper: np.ndarray, reach: float) -> None:
+        self._range = lower, upper
+        self._reach = reach
+        rows = np.concatenate((np.zeros((g1.NUM_JOINTS, 6)), np.eye(g1.NUM_JOINTS)), 1)
+        self._rows = np.concatenate((rows, -rows))
+        self.start(None)
+
+    def start(self, joints: np.ndarray | None) -> None:
+        """Begin a frame after ``joints (29,)``; None lifts the speed limit."""
+        self._lower, self._upper = self._range
+        if joints is not None:
+            self._lower = np.maximum(self._lower, joints - self._reach)
+            self._upper = np.minimum(self._upper, joints + self._reach)
+
+    def compute_qp_inequalities(
+        self, configuration: mink.Configuration, dt: float
+    ) -> mink.Constraint:
+        """``rows @ step <= room``."""
+        joints = configuration.q[7:]
+        room = np.concatenate((self._upper - joints, joints - self._lower))
+        return mink.Constraint(G=self._rows, h=np.maximum(room, 0.0))
+
+
 class Solver:
     """The inverse kinematics of one robot; build once, use for many clips."""
 
-    config: RetargetConfig = field(default_factory=RetargetConfig)
-
-    def __post_init__(self) -> None:
+    def __init__(self, config: RetargetConfig | None = None) -> None:
+        self.config = config or RetargetConfig()
         self.model = build_model(floor=False, self_collision=True)
-        for side in SIDES:
-            # A straight knee is singular: its speed explodes at the stretched leg.
-            self.model.joint(f"{side}_knee_joint").range[0] = self.config.min_knee
-            # Keep the legs out of the turned-out postures no human takes.
-            roll = self.model.joint(f"{side}_hip_roll_joint").range
-            np.clip(roll, -1.3, 1.3, out=roll)
-            turn = self.model.joint(f"{side}_hip_yaw_joint").range
-            np.clip(turn, -1.2, 1.2, out=turn)
         self._configuration = mink.Configuration(self.model)
         self._tasks = {
             link: mink.FrameTask(link, "body", *costs, lm_damping=0.01)
@@ -273,67 +315,76 @@ class Solver:
         }
         self._posture = mink.PostureTask(self.model, cost=0.02)
         self._damping = mink.DampingTask(self.model, cost=0.05)
-        self._dt = 1.0 / FPS / self.config.solves
-        speed = self.config.max_joint_speed
-        limits = [
-            mink.ConfigurationLimit(self.model),
-            mink.VelocityLimit(self.model, dict.fromkeys(g1.JOINT_NAMES, speed)),
-        ]
-        apart = mink.CollisionAvoidanceLimit(
+        lower, upper = _joint_ranges(self.config)
+        self._limit = _FrameLimit(lower, upper, self.config.max_joint_speed / FPS)
+        # mink divides the allowed approach by the time step; ours is 1, so that the
+        # gain is the share of the free distance used in one step.
+        self._apart = mink.CollisionAvoidanceLimit(
             self.model,
             collision_pairs(),
+            gain=0.5,
             minimum_distance_from_collisions=self.config.clearance,
             collision_detection_distance=0.08,
-            # mink bounds a displacement by gain * distance / dt: take dt out.
-            gain=0.5 * self._dt,
             # Negative: links that did get inside each other are driven apart.
             bound_relaxation=-0.001,
         )
-        self.failed = 0
-        self._limit_sets = ([*limits, apart], limits)
+        self.unsolved = 0
 
-    def _step(self) -> None:
+    def _step(self) -> float:
+        """One solver step; returns the largest joint move, radians."""
         tasks = [*self._tasks.values(), self._posture, self._damping]
-        for limits in self._limit_sets:
+        for limits in ([self._limit, self._apart], [self._limit]):
             try:
-                velocity = mink.solve_ik(
-                    self._configuration, tasks, self._dt, "daqp", limits=limits
+                step = mink.solve_ik(
+                    self._configuration, tasks, 1.0, "daqp", limits=limits
                 )
             except mink.NoSolutionFound:
-                self.failed += 1
+                self.unsolved += 1
                 continue
-            self._configuration.integrate_inplace(velocity, self._dt)
-            return
+            self._configuration.integrate_inplace(step, 1.0)
+            return float(np.abs(step[6:]).max())
+        return 0.0
+
+    def _aim(self, targets: Targets, frame: int) -> None:
+        for link, task in self._tasks.items():
+            place, turn = targets.position.get(link), targets.quat.get(link)
+            pose = np.concatenate(
+                (
+                    rotations.IDENTITY if turn is None else turn[frame],
+                    np.zeros(3) if place is None else place[frame],
+                )
+            )
+            task.set_target(mink.SE3(pose))
 
     def track(self, targets: Targets) -> np.ndarray:
         """Joint and root positions ``(T, 36)`` that follow ``targets``."""
-        start = np.concatenate(
-            (
-                targets.position["pelvis"][0],
-                targets.quat["pelvis"][0],
-                g1.DEFAULT_POSE,
-            )
-        )
+        pelvis = targets.position["pelvis"][0], targets.quat["pelvis"][0]
+        start = np.concatenate((*pelvis, g1.DEFAULT_POSE))
         self._configuration.update(start)
         self._posture.set_target(start)
-        frames = len(targets.contact)
-        qpos = np.empty((frames, self.model.nq))
-        for frame in range(frames):
-            for link, task in self._tasks.items():
-                place = targets.position.get(link)
-                turn = targets.quat.get(link)
-                pose = np.concatenate(
-                    (
-                        np.array(rotations.IDENTITY) if turn is None else turn[frame],
-                        np.zeros(3) if place is None else place[frame],
-                    )
-                )
-                task.set_target(mink.SE3(pose))
-            solves = self.config.solves if frame else self.config.first_solves
-            for _ in range(solves):
-                self._step()
+        qpos = np.empty((len(targets.contact), self.model.nq))
+        for frame in range(len(qpos)):
+            self._limit.start(qpos[frame - 1, 7:] if frame else None)
+            self._aim(targets, frame)
+            for _ in range(self.config.solves if frame else self.config.first_solves):
+                if self._step() < self.config.converged:
+                    break
             qpos[frame] = self._configuration.q
         return qpos
+
+
+def _joint_ranges(config: RetargetConfig) -> tuple[np.ndarray, np.ndarray]:
+    """Lower and upper joint limits (29,) that the retargeting keeps, radians."""
+    lower, upper = g1.JOINT_LOWER.copy(), g1.JOINT_UPPER.copy()
+    for side in SIDES:
+        # A straight knee is singular: its speed explodes at the stretched leg.
+        lower[g1.joint_index(f"{side}_knee_joint")] = config.min_knee
+        # No human turns the legs out as far as the G1 can.
+        for name, most in (("hip_roll", 1.3), ("hip_yaw", 1.4)):
+            index = g1.joint_index(f"{side}_{name}_joint")
+            lower[index] = max(lower[index], -most)
+            upper[index] = min(upper[index], most)
+    return lower, upper
 
 
 def start_at_origin(qpos: np.ndarray) -> np.ndarray:

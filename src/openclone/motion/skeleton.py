@@ -164,7 +164,7 @@ def without_flips(motion: HumanMotion) -> HumanMotion:
     positions, quats = motion.positions.copy(), motion.quats.copy()
     first, last = 0, motion.num_frames - 1
     for group in groups:
-        before, after = int(group[0]) - 1, int(group[-1]) + 2
+        before, after = int(group[0]) - 2, int(group[-1]) + 3
         if before < reach:
             first = after
         elif after > motion.num_frames - 1 - reach:

@@ -254,6 +254,28 @@ def _pose(nodes: list[_Node], values: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return positions, quats
 
 
+def _upright_again(nodes: list[_Node], values: np.ndarray) -> np.ndarray:
+    """Undo a known export fault of CMU's BVH files in the root's ZYX angles.
+
+    In such a file Z and Y have the wrong sign wherever X is beyond 90 degrees: the
+    body flips over and walks on mirrored. The repair is kept only where it removes
+    flips, so that sound files stay as they are.
+    """
+    names = nodes[0].channels
+    columns = [k for k, name in enumerate(names) if name[1] == "r"]
+    if "".join(names[k][0] for k in columns) != "ZYX":
+        return values
+    repaired = values.copy()
+    beyond = np.abs(rotations.wrap_angle(np.radians(values[:, columns[2]]))) > np.pi / 2
+    repaired[:, columns[:2]] *= np.where(beyond, -1.0, 1.0)[:, None]
+
+    def flips(candidate: np.ndarray) -> int:
+        quat = rotations.from_euler(np.radians(candidate[:, columns]), "ZYX")
+        return int((rotations.angle_between(quat[8:], quat[:-8]) > 1.0).sum())
+
+    return repaired if flips(repaired) < 0.8 * flips(values) else values
+
+
 def _find_joints(nodes: list[_Node], path: Path) -> list[int]:
     names = [node.name for node in nodes]
     found = []
@@ -301,7 +323,7 @@ def read(path: Path) -> HumanMotion:
     chosen = _find_joints(nodes, path)
     width = sum(len(node.channels) for node in nodes)
     fps, values = _read_motion(lines, end + 1, width, path)
-    positions, quats = _pose(nodes, values)
+    positions, quats = _pose(nodes, _upright_again(nodes, values))
     positions, quats = positions[:, chosen], quats[:, chosen]
     leg = [JOINTS.index(f"left_{part}") for part in ("hip", "knee", "ankle")]
     bones = np.linalg.norm(np.diff(positions[0, leg], axis=0), axis=-1)
