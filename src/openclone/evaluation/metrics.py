@@ -32,7 +32,8 @@ class Trace:
         period: seconds between frames.
         position, reference_position: (T, 14, 3), metres, key bodies.
         quat, reference_quat: (T, 14, 4), wxyz, world from body.
-        contact: (T, 2) bool, whether the left and the right foot bear load.
+        contact: (T, 2) bool, whether the left and the right foot bear load; None where
+            that was not measured.
         fell: whether the robot fell; the trace then ends with the fall.
     """
 
@@ -41,7 +42,7 @@ class Trace:
     quat: np.ndarray
     reference_position: np.ndarray
     reference_quat: np.ndarray
-    contact: np.ndarray
+    contact: np.ndarray | None
     fell: bool
 
 

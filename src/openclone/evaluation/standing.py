@@ -73,6 +73,7 @@ def evaluate_standing(
     robot.reset(reference.qpos[0], reference.start_velocity)
     rng = np.random.default_rng(seed)
     trace, _ = run_clip(Episode(robot, bundle, noise, rng), reference)
+    assert trace.contact is not None
     settle = min(round(SETTLE_SECONDS / CONTROL_PERIOD), len(trace.position) - 1)
     points, _ = key_point_poses(trace.position, trace.quat)
     pelvis = trace.position[:, g1.ROOT]

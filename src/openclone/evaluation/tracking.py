@@ -15,7 +15,7 @@ import numpy as np
 
 from openclone.evaluation import metrics
 from openclone.evaluation.episode import Episode, make_reference, run_clip
-from openclone.evaluation.metrics import Metrics
+from openclone.evaluation.metrics import Metrics, Trace
 from openclone.motion.clip import Clip
 from openclone.odometry.noise import OdometryNoiseConfig
 from openclone.policy.bundle import Bundle
@@ -45,6 +45,24 @@ class ClipResult:
     reference_head_w: np.ndarray
     qpos: np.ndarray
     reference_qpos: np.ndarray
+
+
+def clip_result(
+    category: str, trace: Trace, qpos: np.ndarray, reference_qpos: np.ndarray
+) -> ClipResult:
+    """Measure one run; ``qpos`` and ``reference_qpos`` are (T, 36), as the trace."""
+    error = metrics.position_error(trace.position, trace.reference_position)
+    points, _ = key_point_poses(trace.position, trace.quat)
+    wanted, _ = key_point_poses(trace.reference_position, trace.reference_quat)
+    return ClipResult(
+        category=category,
+        metrics=metrics.measure(trace),
+        error_mm=1000.0 * error.mean(axis=1),
+        head_w=points[:, 0],
+        reference_head_w=wanted[:, 0],
+        qpos=qpos,
+        reference_qpos=reference_qpos,
+    )
 
 
 @dataclass(frozen=True)
@@ -104,16 +122,8 @@ def evaluate_tracking(
         robot.reset(reference.qpos[0], reference.start_velocity)
         rng = np.random.default_rng((seed, zlib.crc32(name.encode())))
         trace, qpos = run_clip(Episode(robot, bundle, noise, rng), reference)
-        error = metrics.position_error(trace.position, trace.reference_position)
-        results[name] = ClipResult(
-            category=clip.info.category,
-            metrics=metrics.measure(trace),
-            error_mm=1000.0 * error.mean(axis=1),
-            head_w=key_point_poses(trace.position, trace.quat)[0][:, 0],
-            reference_head_w=reference.points[1 : len(qpos) + 1, 0],
-            qpos=qpos,
-            reference_qpos=reference.qpos[1 : len(qpos) + 1],
-        )
+        wanted = reference.qpos[1 : len(qpos) + 1]
+        results[name] = clip_result(clip.info.category, trace, qpos, wanted)
         if progress is not None:
             progress(index + 1, len(clips), name, results[name])
     return TrackingReport(results)
