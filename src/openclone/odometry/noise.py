@@ -25,8 +25,8 @@ class OdometryNoiseConfig:
         reset_period: seconds between resets to zero error, on average.
     """
 
-    c_vel: float = 25.0
-    c_min: float = 0.005
+    c_vel: float = 50.0
+    c_min: float = 0.002
     max_error: float = 0.10
     reset_period: float = 10.0
 

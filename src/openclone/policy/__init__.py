@@ -1,0 +1,1 @@
+"""What the policy sees, how it is built, and the bundle that carries it."""

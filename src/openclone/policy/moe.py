@@ -62,17 +62,21 @@ class MoeNetwork(nn.Module):
             for _ in range(config.layers)
         )
         self.head = nn.Linear(config.width, outputs)
-        self.routing: list[torch.Tensor] = []
 
     def forward(self, inputs: torch.Tensor) -> torch.Tensor:
-        """Map ``(n, inputs)`` to ``(n, outputs)``; keeps the weights in `routing`."""
+        """Map ``(n, inputs)`` to ``(n, outputs)``."""
+        return self.with_routing(inputs)[0]
+
+    def with_routing(
+        self, inputs: torch.Tensor
+    ) -> tuple[torch.Tensor, list[torch.Tensor]]:
+        """Outputs ``(n, outputs)`` and each layer's routing weights ``(n, N)``."""
         hidden = nn.functional.elu(self.stem(inputs))
         routing = []
         for layer in self.layers:
             hidden, weights = layer(hidden)
             routing.append(weights)
-        self.routing = routing
-        return self.head(hidden)
+        return self.head(hidden), routing
 
 
 def balance_loss(routing: list[torch.Tensor], slack: float = 0.25) -> torch.Tensor:

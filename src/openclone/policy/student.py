@@ -52,6 +52,12 @@ class StudentModel(MLPModel):
         assert isinstance(self.mlp, MoeNetwork)
         return self.mlp
 
+    def with_routing(
+        self, observations: torch.Tensor
+    ) -> tuple[torch.Tensor, list[torch.Tensor]]:
+        """As `mean_action`, and the routing weights of each MoE layer."""
+        return self.network.with_routing(self.obs_normalizer(observations))
+
     def mean_action(self, observations: torch.Tensor) -> torch.Tensor:
         """Actions without noise, ``(n, 2376) -> (n, 29)``."""
         return self.mlp(self.obs_normalizer(observations))

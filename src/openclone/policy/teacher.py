@@ -18,9 +18,10 @@ def teacher_observation(
     """The observation o^tea, ``(n, d)``.
 
     All body quantities stand in the torso frame, so that neither place nor heading
-    matters. Contents: reference joint angles and velocities at t + 1; torso position,
-    orientation and velocity differences; the robot's own joints, key bodies, velocities,
-    gravity and foot loads; key bodies of the reference; the previous action.
+    matters. Contents: reference joint angles and velocities at t + 1; orientation
+    difference and velocities of the reference torso; the robot's own joints,
+    velocities, gravity and foot loads; the previous action; key bodies of robot and
+    reference; differences of their velocities.
 
     Args:
         robot: current states.

@@ -1,0 +1,1 @@
+"""What a G1 is: joints, limits, gains, key points, model, kinematics."""

@@ -70,13 +70,17 @@ def _thin_out_meshes(specs: tuple[mujoco.MjSpec, ...], cell: float) -> None:
             mesh.userface = faces.reshape(-1)
 
 
-def build_ghost_model() -> mujoco.MjModel:
+def build_ghost_model(*, floor: bool = True) -> mujoco.MjModel:
     """Robot, floor, sky and ghost; ``qpos`` (72,) is the robot's, then the ghost's.
 
     For `mujoco.mj_kinematics` only: the ghost has no motors and touches nothing.
+
+    Args:
+        floor: whether there is a ground plane.
     """
     spec = build_spec()
-    add_floor(spec)
+    if floor:
+        add_floor(spec)
     spec.add_texture(
         name="sky",
         type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,

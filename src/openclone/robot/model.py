@@ -150,7 +150,9 @@ def _add_sensors(spec: mujoco.MjSpec) -> None:
         )
 
 
-def build_spec(*, feet: Feet = "spheres", self_collision: bool = False) -> mujoco.MjSpec:
+def build_spec(
+    *, feet: Feet = "spheres", self_collision: bool = False
+) -> mujoco.MjSpec:
     """The G1 alone, with actuators, sites and sensors; no floor.
 
     Args:
@@ -244,5 +246,3 @@ class SensorLayout:
             span = spans.setdefault(key, [start, start])
             span[1] = start + int(model.sensor_dim[index])
         return SensorLayout(**{key: slice(*span) for key, span in spans.items()})
-
-

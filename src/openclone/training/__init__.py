@@ -1,1 +1,1 @@
-"""How the policy is learned: physics, tracking task, teacher (PPO), student (DAgger)."""
+"""How the policy is learned: physics, task, teacher (PPO), student (DAgger, PPO)."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import torch
-
 from openclone.errors import InputError
 from openclone.motion.clip import Clip
 from openclone.motion.edit import mirror, pad_still
@@ -50,9 +48,7 @@ def load_reference(clips: list[Clip]) -> ReferenceMotions:
 def make_task(
     reference: ReferenceMotions, config: TaskConfig, seed: int, threads: int | None
 ) -> TrackingTask:
-    """A tracking task on the CPU backend; torch is given the same cores."""
-    if threads:
-        torch.set_num_threads(threads)
+    """A tracking task on the CPU backend, stepped by ``threads`` (default: all)."""
     model = build_model()
     physics = ThreadedPhysics(model, config.num_envs, threads)
     return TrackingTask(reference, physics, SensorLayout.of(model), config, seed)

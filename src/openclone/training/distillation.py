@@ -23,7 +23,7 @@ _UNIT = 0.45
 
 
 class Dagger:
-    """The student acts, the teacher says what it would have done, the student learns."""
+    """The student acts; the teacher says what it would have done."""
 
     def __init__(
         self,
@@ -37,7 +37,9 @@ class Dagger:
         self.view, self.teacher, self.student = view, teacher, student
         self.config = config
         self.rounds = 0
-        self.optimizer = torch.optim.Adam(student.mlp.parameters(), config.learning_rate)
+        self.optimizer = torch.optim.Adam(
+            student.mlp.parameters(), config.learning_rate
+        )
         self._buffer: deque[tuple[torch.Tensor, torch.Tensor]] = deque(
             maxlen=config.kept_rounds
         )
@@ -91,9 +93,10 @@ class Dagger:
             ]
             inputs = torch.cat([part[0] for part in parts])
             labels = torch.cat([part[1] for part in parts])
-            error = self._weight * (self.student.mean_action(inputs) - labels)
+            own, routing = self.student.with_routing(inputs)
+            error = self._weight * (own - labels)
             imitation = error.square().sum(-1).mean()
-            balance = balance_loss(self.student.network.routing)
+            balance = balance_loss(routing)
             loss = imitation + config.balance * balance
             self.optimizer.zero_grad()
             loss.backward()

@@ -147,7 +147,7 @@ def learn(
         progress.add(
             **{f"loss/{name}": value for name, value in losses.items()},
             lr=ppo.learning_rate,
-            std=float(ppo.get_policy().output_std.mean()),
+            std=ppo.get_policy().output_std.mean().item(),
         )
         shown = ("falls/1000", "error_mm", "reward", "std", "lr", "loss/value")
         if progress.line(line_seconds, shown):

@@ -54,7 +54,7 @@ def vr_position(s: TrackingState) -> torch.Tensor:
 
 
 def body_position(s: TrackingState) -> torch.Tensor:
-    """Extend body position: all key bodies relative to the torso's heading. σ 0.25 m."""
+    """Extend body position: key bodies relative to the torso's heading. σ 0.25 m."""
     torso = g1.TORSO
     robot, wanted = s.robot, s.reference
     turn = rotations.heading(
@@ -72,9 +72,7 @@ def body_position(s: TrackingState) -> torch.Tensor:
 
 def root_position(s: TrackingState) -> torch.Tensor:
     """Torso position in the world; closes the loop. σ 0.3 m."""
-    error = (
-        s.robot.body_position[:, g1.TORSO] - s.reference.body_position[:, g1.TORSO]
-    )
+    error = s.robot.body_position[:, g1.TORSO] - s.reference.body_position[:, g1.TORSO]
     return _closeness(_squared(error), 0.3)
 
 

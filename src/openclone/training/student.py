@@ -22,7 +22,6 @@ from openclone.training.progress import Progress
 from openclone.training.reference import ReferenceMotions
 from openclone.training.student_view import StudentView
 from openclone.training.task import StepResult, TaskConfig
-from openclone.training.teacher import GROUP as TEACHER
 from openclone.training.teacher import load_teacher
 
 CHECKPOINT = "student.pt"
@@ -127,7 +126,8 @@ def train_student(
         teacher: checkpoint of `train_teacher`.
         preset: every setting.
         out: folder for checkpoint, bundle and event files.
-        minutes, tuning_minutes: wall time of DAgger and of PPO instead of the preset's.
+        minutes: wall time of DAgger instead of the preset's.
+        tuning_minutes: wall time of PPO instead of the preset's; 0 for none.
         resume: go on from the checkpoint in ``out``.
         seed: of all randomness.
         threads: CPU threads; all cores by default.

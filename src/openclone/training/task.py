@@ -118,7 +118,9 @@ class TrackingTask:
         self._torch_rng = torch.Generator().manual_seed(seed)
         n = self.num_envs
         self.frame = torch.zeros(n, dtype=torch.long)
-        self.age = torch.randint(0, config.episode_steps, (n,), generator=self._torch_rng)
+        self.age = torch.randint(
+            0, config.episode_steps, (n,), generator=self._torch_rng
+        )
         self.action = torch.zeros(n, g1.NUM_JOINTS)
         bins = reference.num_frames // _BIN + 1
         self.failures = torch.full((bins,), 0.1)

@@ -73,9 +73,7 @@ def train_teacher(
         threads: CPU threads; all cores by default.
     """
     torch.manual_seed(seed)
-    chosen = select_clips(
-        clips, preset.categories, preset.mirror, preset.still_seconds
-    )
+    chosen = select_clips(clips, preset.categories, preset.mirror, preset.still_seconds)
     task = make_task(load_reference(chosen), preset.task, seed, threads)
     ppo = _new_ppo(preset.task.num_envs, preset.ppo)
     path = out / CHECKPOINT

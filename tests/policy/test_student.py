@@ -1,0 +1,74 @@
+import numpy as np
+import onnx
+import pytest
+import torch
+
+from openclone.errors import InputError
+from openclone.policy import observation
+from openclone.policy.bundle import g1_info, load_bundle
+from openclone.policy.moe import MoeConfig
+from openclone.policy.student import StudentModel, export_bundle
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory):
+    torch.manual_seed(0)
+    model = StudentModel(MoeConfig(width=32), 0.1, observation.HISTORY)
+    with torch.no_grad():
+        model.mlp.head.weight.normal_()
+    model.obs_normalizer.update(torch.randn(64, observation.student_size()) * 2 + 1)
+    path = tmp_path_factory.mktemp("bundle") / "student.onnx"
+    export_bundle(model, g1_info("test", "abc", "none"), path)
+    return model.eval(), path
+
+
+def test_onnx_equals_torch(exported):
+    model, path = exported
+    inputs = torch.randn(7, observation.student_size())
+    with torch.no_grad():
+        expected = model.mean_action(inputs).numpy()
+    got = load_bundle(path).act(inputs.numpy())
+    np.testing.assert_allclose(got, expected, atol=1e-4)
+    assert np.abs(expected).max() > 0.5
+
+
+def test_metadata_travels_with_the_file(exported):
+    info = load_bundle(exported[1]).info
+    assert info == g1_info("test", "abc", "none")
+
+
+def change(path, target, key, value):
+    model = onnx.load(str(path))
+    for item in model.metadata_props:
+        if item.key == key:
+            item.value = value
+    onnx.save(model, str(target))
+    return target
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        ("layout", '"other-layout"', "layout is 'other-layout'"),
+        ("history", "5", "history is 5"),
+        ("joint_names", '["a", "b"]', "joint_names"),
+        ("kp", "[1.0, 2.0]", "kp must be 29"),
+        ("format", '"nothing"', "metadata"),
+        ("default_pose", "not json", "metadata"),
+    ],
+)
+def test_mismatching_bundles_are_refused(exported, tmp_path, key, value, message):
+    path = change(exported[1], tmp_path / "changed.onnx", key, value)
+    with pytest.raises(InputError, match=message) as caught:
+        load_bundle(path)
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_missing_and_damaged_files(tmp_path):
+    with pytest.raises(InputError, match="no such policy bundle"):
+        load_bundle(tmp_path / "nothing.onnx")
+    damaged = tmp_path / "damaged.onnx"
+    damaged.write_bytes(b"x" * 100)
+    with pytest.raises(InputError, match="not a readable ONNX file"):
+        load_bundle(damaged)

@@ -1,0 +1,46 @@
+"""A small task on synthetic motion, shared by the training tests."""
+
+import numpy as np
+import pytest
+
+from openclone.motion.clip import Clip, ClipInfo, clip_from_qpos
+from openclone.robot import g1
+from openclone.robot.model import SensorLayout, build_model, standing_qpos
+from openclone.training.physics import ThreadedPhysics
+from openclone.training.reference import build_reference
+from openclone.training.task import TaskConfig, TrackingTask
+
+
+def swaying(name: str = "sway", seconds: float = 3.0, category: str = "stand") -> Clip:
+    """Standing with slowly waving arms; the legs rest."""
+    count = round(seconds * 50) + 1
+    qpos = np.tile(standing_qpos(), (count, 1))
+    phase = np.sin(2 * np.pi * np.arange(count) / 50)
+    qpos[:, 7 + g1.joint_index("left_shoulder_pitch_joint")] += 0.3 * phase
+    qpos[:, 7 + g1.joint_index("right_elbow_joint")] += 0.3 * phase
+    return clip_from_qpos(ClipInfo(name, category, "test", "", 50.0), qpos)
+
+
+@pytest.fixture(scope="session")
+def make_clip():
+    return swaying
+
+
+@pytest.fixture(scope="session")
+def model():
+    return build_model()
+
+
+@pytest.fixture(scope="session")
+def reference(model):
+    return build_reference([swaying("a"), swaying("b", 2.0)], model)
+
+
+@pytest.fixture
+def make_task(model, reference):
+    def make(num_envs: int = 4, **settings: object) -> TrackingTask:
+        physics = ThreadedPhysics(model, num_envs, threads=1)
+        config = TaskConfig(num_envs=num_envs, **settings)
+        return TrackingTask(reference, physics, SensorLayout.of(model), config, 0)
+
+    return make
