@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from openclone.motion.sources.track import Track, glide, oscillation
+from openclone.motion.sources.track import Track
 from openclone.motion.sources.whole_body import GRAVITY, Plan
 from openclone.robot import g1
 
@@ -22,7 +22,7 @@ LEFT, RIGHT = 0, 1
 _OUTWARD = (1.0, -1.0)
 _SOLE_CENTRE_X = 0.03
 """Metres ahead of the ankle where the weight rests when standing."""
-_QUIET = 0.08
+_QUIET = 0.07
 """Share of the swing, at both ends, in which the foot only rises or only sinks."""
 
 
@@ -37,7 +37,7 @@ class Gait:
         step_s: seconds per step.
         shift_s: seconds of each step with both feet down.
         clearance: metres between the swinging sole and the ground.
-        heel: radians of pitch of the swinging foot.
+        heel: radians that the heel rises above the toes early in the swing.
         bob: metres that the pelvis rises in mid-step.
     """
 
@@ -110,7 +110,7 @@ class Choreography:
     def _pressure(self, side: int, along: float) -> np.ndarray:
         """A point of the sole, ``along`` metres ahead of the ankle, slightly inward."""
         x, y, yaw = self.feet[side].end
-        inward = -0.008 * _OUTWARD[side]
+        inward = -0.012 * _OUTWARD[side]
         return np.array([x, y]) + _rotated((along, inward), yaw)
 
     def _between(self) -> np.ndarray:
@@ -154,12 +154,11 @@ class Choreography:
         self.zmp.move(start, up, self._pressure(stance, _SOLE_CENTRE_X - roll))
         self.zmp.move(up, down, self._pressure(stance, _SOLE_CENTRE_X + roll))
         fly_s, land_s = up + _QUIET * swing_s, down - _QUIET * swing_s
-        way = self._footprint(body, side) - self.feet[side].end
-        self.feet[side].add(fly_s, land_s, way, glide)
+        self.feet[side].move(fly_s, land_s, self._footprint(body, side))
         one_foot = np.eye(2)[side]
         self.lift.bump(up, down, gait.clearance * one_foot)
-        if gait.heel:
-            self.pitch.add(fly_s, land_s, gait.heel * one_foot, oscillation(1.0))
+        heel_down_s = up + 0.75 * swing_s
+        self.pitch.bump(fly_s, heel_down_s, gait.heel * one_foot)
         turn = 0.5 * (self.feet[LEFT].end[2] + self.feet[RIGHT].end[2])
         trunk = self.trunk.end.copy()
         trunk[0] = turn
@@ -202,7 +201,9 @@ class Choreography:
         waist[2] = 0.4 * pitch
         self.waist.move(start_s, end_s, waist)
 
-    def jump(self, rise: float, crouch: float, forward: float, tuck: float) -> None:
+    def jump(
+        self, rise: float, crouch: float, forward: float, tuck: float, lean: float
+    ) -> None:
         """Crouch, push off with both feet, fly, land and stand up.
 
         Args:
@@ -210,6 +211,7 @@ class Choreography:
             crouch: metres that it sinks before.
             forward: metres between take-off and landing.
             tuck: metres that the feet rise.
+            lean: radians that the trunk leans forward when crouching.
         """
         top = float(self.height.end[0])
         speed = math.sqrt(2.0 * GRAVITY * rise)
@@ -219,6 +221,7 @@ class Choreography:
         push_s = round(2.2 * push / speed * FPS) / FPS
         sink_s, rest_s = 0.6, 0.9
         self.height.move(self.time_s, self.time_s + sink_s, top - crouch)
+        self.lean(lean, self.time_s, self.time_s + sink_s)
         self.time_s += sink_s
         off = self.time_s + push_s
         land = off + flight_s
@@ -230,6 +233,8 @@ class Choreography:
             ),
         )  # fmt: skip
         self.lift.bump(off, land, tuck)
+        self.lean(0.3 * lean, self.time_s, off)
+        self.lean(lean, land, land + push_s)
         self.body[0] += forward
         for side in (LEFT, RIGHT):
             target = self.feet[side].end + np.array([forward, 0.0, 0.0])
@@ -238,6 +243,7 @@ class Choreography:
         self.zmp.move(off, land, self._between())
         self.time_s = land + push_s
         self.height.move(self.time_s, self.time_s + rest_s, top)
+        self.lean(0.0, self.time_s, self.time_s + rest_s)
         self.time_s += rest_s
 
     def plan(self) -> Plan:

@@ -8,6 +8,7 @@ zero-moment point stays inside the soles, because the motions are planned that w
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -25,14 +26,14 @@ _SHARES = {
     "reach": 0.8, "pickup": 0.8, "transition": 1.6,
 }  # fmt: skip
 """How many clips of each category a default set holds, relative to each other."""
-_MEAN_CLIP_S = 7.5
+_MEAN_CLIP_S = 8.8
 
 
 def _start(rng: np.random.Generator, **changes: float | bool) -> Choreography:
     """A robot standing quietly in a pose of its own."""
     settings = {
         "width": rng.uniform(0.21, 0.26),
-        "height": rng.uniform(0.745, 0.772),
+        "height": rng.uniform(0.762, 0.782),
         "toe_out": rng.uniform(0.0, 0.1),
     }
     score = Choreography(
@@ -71,16 +72,16 @@ def _walk(score: Choreography, gait: Gait, steps: int, height: float) -> None:
 
 def _gait(rng: np.random.Generator, speed: float) -> tuple[Gait, float]:
     """A straight gait at ``speed`` m/s (negative: backward) and its pelvis height."""
-    step_s = float(np.clip(0.68 - 0.22 * abs(speed) + rng.normal(0, 0.03), 0.42, 0.75))
+    step_s = float(np.clip(0.64 - 0.13 * abs(speed) + rng.normal(0, 0.02), 0.48, 0.7))
     gait = Gait(
         forward=speed * step_s,
         step_s=step_s,
-        shift_s=step_s * rng.uniform(0.22, 0.3),
+        shift_s=step_s * (rng.uniform(0.24, 0.3) - 0.06 * abs(speed)),
         clearance=rng.uniform(0.04, 0.065),
-        heel=max(speed, 0.0) * rng.uniform(0.1, 0.3),
+        heel=max(speed, 0.0) * rng.uniform(0.15, 0.4),
         bob=rng.uniform(0.003, 0.01),
     )
-    height = 0.755 - 0.28 * gait.forward**2 - rng.uniform(0.005, 0.03)
+    height = 0.77 - 0.3 * gait.forward**2 - rng.uniform(0.0, 0.025)
     return gait, height
 
 
@@ -147,9 +148,7 @@ def _turn(score: Choreography) -> None:
         height = rng.uniform(0.71, 0.74)
     else:
         straight, height = _gait(rng, rng.uniform(0.2, 0.6))
-        gait = Gait(
-            **{**vars(straight), "turn": sign * rng.uniform(0.12, 0.4)},
-        )
+        gait = replace(straight, turn=sign * rng.uniform(0.12, 0.4))
     _walk(score, gait, 2 * (_steps(rng, gait) // 2), height)
 
 
@@ -184,13 +183,16 @@ def _crouch(score: Choreography, height: float, seconds: float) -> None:
 def _crouchwalk(score: Choreography) -> None:
     rng = score.rng
     upright = float(score.height.end[0])
-    low = rng.uniform(0.56, 0.66)
-    _crouch(score, low, 1.3)
+    low, lean = rng.uniform(0.6, 0.67), rng.uniform(0.45, 0.65)
+    score.change_height(low, 1.2)
+    score.lean(lean, score.time_s, score.time_s + 1.2)
     score.hold(1.0)
-    gait, _ = _gait(rng, rng.uniform(0.12, 0.4))
-    _walk(score, gait, _steps(rng, gait), low)
-    _crouch(score, upright, 1.2)
-    score.hold(1.2)
+    gait, _ = _gait(rng, rng.uniform(0.12, 0.35))
+    gait = replace(gait, heel=rng.uniform(0.3, 0.5))
+    score.walk(gait, _steps(rng, gait))
+    score.change_height(upright, 1.3)
+    score.lean(0.0, score.time_s, score.time_s + 1.3)
+    score.hold(1.3)
 
 
 def _jump(score: Choreography) -> None:
@@ -209,13 +211,12 @@ def _jump_once(score: Choreography) -> None:
     score.arms.move(start_s, start_s + 0.6, before + back)
     score.arms.move(start_s + 0.6, start_s + 1.0, before - 1.5 * back)
     score.arms.move(start_s + 1.1, start_s + 1.9, before)
-    score.lean(rng.uniform(0.4, 0.6), start_s, start_s + 0.6)
-    score.lean(0.0, start_s + 0.6, start_s + 1.0)
     score.jump(
         rng.uniform(0.04, 0.07),
         rng.uniform(0.13, 0.17),
         rng.choice([0.0, 0.0, 0.1]),
         rng.uniform(0.03, 0.05),
+        rng.uniform(0.5, 0.7),
     )
 
 
@@ -325,8 +326,8 @@ def generate(category: str, rng: np.random.Generator, name: str = "") -> Clip:
     while True:
         if category == "jump":
             score = _start(rng, ballistic=True, height=rng.uniform(0.67, 0.68))
-        elif category == "stepside":
-            score = _start(rng, width=rng.uniform(0.18, 0.21))
+        elif category in ("stepside", "crouchwalk"):
+            score = _start(rng, width=rng.uniform(0.185, 0.21))
         else:
             score = _start(rng)
         _CHOREOGRAPHIES[category](score)

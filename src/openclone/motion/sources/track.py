@@ -23,21 +23,6 @@ def minimum_jerk(phase: np.ndarray) -> np.ndarray:
     return phase**3 * (10.0 - 15.0 * phase + 6.0 * phase**2)
 
 
-def glide(phase: np.ndarray) -> np.ndarray:
-    """From 0 to 1 at constant speed but for a smooth start and stop (30 % each).
-
-    Its top speed is 1.43 times the mean, that of least jerk 1.88: for swinging feet.
-    """
-    phase = np.clip(phase, 0.0, 1.0)
-    late = phase > 0.5
-    early = np.where(late, 1.0 - phase, phase)
-    ramp = np.minimum(early / 0.3, 1.0)
-    # The integral of the smoothstep 3 r^2 - 2 r^3, then a straight line.
-    risen = 0.3 * (ramp**3 - 0.5 * ramp**4) + np.maximum(early - 0.3, 0.0)
-    risen = risen / 0.7
-    return np.where(late, 1.0 - risen, risen)
-
-
 def there_and_back(phase: np.ndarray) -> np.ndarray:
     """From 0 up to 1 and back to 0, with a short stay on top."""
     return minimum_jerk(phase / 0.48) - minimum_jerk((phase - 0.52) / 0.48)

@@ -28,8 +28,10 @@ from openclone.spatial import rotations
 GRAVITY = 9.81
 _PADDING_S = 1.5
 """Seconds of rest added at both ends while solving, so that clips start at rest."""
-_CORRECTION_LIMIT = 0.05
+_CORRECTION_LIMIT = 0.2
 """Metres; the largest change that the feedback of the dynamics makes to p."""
+_MIN_LOAD_N = 100.0
+"""Newtons, a third of the weight; with less the zero-moment point means nothing."""
 _COM_GAIN = 1.3
 """Metres of pelvis per metre of centre of mass: the feet stay where they are."""
 _MARGIN = 0.04
@@ -127,7 +129,7 @@ def centre_of_mass(qpos: np.ndarray) -> np.ndarray:
 
 
 def zero_moment_point(qpos: np.ndarray, fps: float) -> np.ndarray:
-    """Zero-moment point ``(T, 2)`` from inverse dynamics; NaN where nothing pushes."""
+    """Zero-moment point ``(T, 2)`` from inverse dynamics; NaN where little pushes."""
     model = g1_model()
     data = mujoco.MjData(model)
     qvel = np.empty((len(qpos) - 1, model.nv))
@@ -142,7 +144,7 @@ def zero_moment_point(qpos: np.ndarray, fps: float) -> np.ndarray:
         data.qacc[:] = (qvel[index] - qvel[index - 1]) * fps
         mujoco.mj_inverse(model, data)
         force = data.qfrc_inverse[:3]
-        if force[2] < 30.0:
+        if force[2] < _MIN_LOAD_N:
             continue
         moment = data.xmat[1].reshape(3, 3) @ data.qfrc_inverse[3:6]
         x, y, z = qpos[index, :3]
@@ -211,6 +213,16 @@ def _follow_com(
     return qpos
 
 
+def _check_legs(qpos: np.ndarray, margin: float) -> None:
+    """Raise `Unreachable` if a leg joint comes within ``margin`` of its limits."""
+    legs = qpos[:, 7:19]
+    if legs[:, [3, 9]].min() < margin:
+        raise TooFar
+    lower, upper = g1.JOINT_LOWER[:12] + margin, g1.JOINT_UPPER[:12] - margin
+    if np.any(legs < lower) or np.any(legs > upper):
+        raise Unreachable
+
+
 def _solve(plan: Plan) -> np.ndarray:
     offset = 0.09 if plan.ballistic else 0.0
     qpos = np.empty((len(plan.zmp), 36))
@@ -223,21 +235,18 @@ def _solve(plan: Plan) -> np.ndarray:
     qpos[:, 3:7] = rotations.from_euler(plan.trunk, "ZYX")
     qpos[:, 19:] = plan.upper_joints
     qpos[:, 7:19] = _solve_legs(plan, qpos[:, :3], _first_guess(plan))
-    qpos = _follow_com(plan, com_xy, qpos, 3)
+    qpos = _follow_com(plan, com_xy, qpos, 1)
+    _check_legs(qpos, 0.0)
+    qpos = _follow_com(plan, com_xy, qpos, 1)
     reference = plan.zmp.copy()
-    for _ in range(2):
+    for _ in range(3):
         error = np.nan_to_num(plan.zmp - zero_moment_point(qpos, plan.fps))
         reference += np.clip(error, -_CORRECTION_LIMIT, _CORRECTION_LIMIT)
         height = centre_of_mass(qpos)[:, 2]
         force = _lift_force(height, plan.fps)
         com_xy = com_from_zmp(reference, height, force, plan.fps)
         qpos = _follow_com(plan, com_xy, qpos, 2)
-    legs = qpos[:, 7:19]
-    if legs[:, [3, 9]].min() < _MARGIN:
-        raise TooFar
-    lower, upper = g1.JOINT_LOWER[:12] + _MARGIN, g1.JOINT_UPPER[:12] - _MARGIN
-    if np.any(legs < lower) or np.any(legs > upper):
-        raise Unreachable
+    _check_legs(qpos, _MARGIN)
     return qpos
 
 
