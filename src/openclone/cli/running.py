@@ -2,42 +2,80 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from openclone.cli.options import positive, print_figures, write_figures
+from openclone.errors import InputError
+
 if TYPE_CHECKING:
+    from openclone.evaluation.tracking import TrackingReport
+    from openclone.motion.clip import Clip
     from openclone.teleop.messages import OperatorRecording
+    from openclone.teleop.session import SessionConfig, SessionResult
 
 
-def _operator_recording(path: Path) -> OperatorRecording:
-    """What a headset would have seen of a recorded human, or of a G1 in a clip."""
-    from openclone.teleop.messages import recording_at_rate
+@dataclass(frozen=True)
+class _Performance:
+    """An operator to replay, and the motion of the G1 that he or she means.
 
+    Attributes:
+        recording: head and wrists, operator's world.
+        clip: the same motion on the G1; what metrics compare the robot with.
+        config: settings that suit this operator.
+    """
+
+    recording: OperatorRecording
+    clip: Clip
+    config: SessionConfig
+
+
+def _load_performance(path: Path, seconds: float | None) -> _Performance:
+    """Read a clip (.npz) or a human recording, which is retargeted for its metrics."""
+    from openclone.robot.kinematics import Kinematics
+    from openclone.teleop.loop import LoopConfig
+    from openclone.teleop.operators.replay import ReplayConfig
+    from openclone.teleop.session import SessionConfig
+
+    # With a given length the operator stays at the end of the recording.
+    replay = ReplayConfig(tail_s=1.0 if seconds is None else max(seconds, 1.0))
     if path.suffix == ".npz":
+        from openclone.evaluation.operator import calibration_of_operator, operator_of
         from openclone.motion.clip import load_clip
-        from openclone.robot.kinematics import Kinematics
-        from openclone.robot.state import key_point_poses
 
         clip = load_clip(path)
-        points = key_point_poses(*Kinematics().trajectory(clip.qpos))
-        return recording_at_rate(clip.info.name, clip.info.fps, *points)
+        loop = LoopConfig(calibration=calibration_of_operator())
+        recording = operator_of(clip, Kinematics())
+        return _Performance(recording, clip, SessionConfig(loop, replay))
+    from openclone.motion.clip import ClipInfo
     from openclone.motion.library import read_recording
+    from openclone.motion.retarget import retarget
     from openclone.motion.skeleton import operator_points
+    from openclone.teleop.messages import recording_at_rate
 
     motion = read_recording(path)
-    return recording_at_rate(motion.name, motion.fps, *operator_points(motion))
+    recording = recording_at_rate(motion.name, motion.fps, *operator_points(motion))
+    info = ClipInfo(path.stem, "transition", str(path), "unknown", motion.fps)
+    clip, _ = retarget(motion, info)
+    return _Performance(recording, clip, SessionConfig(replay=replay))
 
 
-def demo(*, out: Path = Path("reports/demo"), view: bool = False) -> None:
-    """Drive the simulated G1 with synthetic operators and write a report folder.
+def _measure(performance: _Performance, result: SessionResult) -> TrackingReport:
+    """Compare the session with the motion that the operator meant."""
+    from openclone.evaluation.programme import Part, place_head
+    from openclone.evaluation.session import session_results
+    from openclone.evaluation.tracking import TrackingReport
+    from openclone.robot.kinematics import Kinematics
+    from openclone.robot.model import CONTROL_PERIOD, standing_qpos
 
-    Args:
-        out: folder for report.html, video.mp4 and a picture.
-        view: also serve the browser view.
-    """
-    from openclone.evaluation.demo import run_demo
-
-    run_demo(out, view)
+    kinematics = Kinematics()
+    qpos = performance.clip.resampled(1.0 / CONTROL_PERIOD).qpos
+    head_xy = kinematics.key_points(standing_qpos())[0][0, :2].copy()
+    reference = place_head(qpos, kinematics.bodies(qpos[0]), head_xy)
+    info = performance.clip.info
+    parts = (Part(info.name, info.category, 0, len(reference)),)
+    return TrackingReport(session_results(result, reference, parts, kinematics))
 
 
 def teleop(
@@ -52,6 +90,7 @@ def teleop(
     json: Path | None = None,
     record: Path | None = None,
     view: bool = False,
+    port: int = 8080,
 ) -> None:
     """Let an operator drive the simulated G1, closed loop at 50 Hz.
 
@@ -66,8 +105,52 @@ def teleop(
         json: write the measurements to this file.
         record: write every tick to this .npz file.
         view: serve the browser view meanwhile.
+        port: of the browser view.
     """
-    raise NotImplementedError
+    from dataclasses import asdict
+
+    from openclone.evaluation.report import COLUMNS, table_row
+    from openclone.odometry.noise import OdometryNoiseConfig
+    from openclone.policy.bundle import load_bundle
+    from openclone.teleop.recorder import save_log
+    from openclone.teleop.session import run_teleop
+
+    positive("--seconds", seconds)
+    bundle = load_bundle(policy)
+    performance = _load_performance(recording, seconds)
+    result = run_teleop(
+        performance.recording,
+        bundle,
+        seconds=seconds,
+        realtime=realtime,
+        noise=OdometryNoiseConfig() if noise else None,
+        seed=seed,
+        config=performance.config,
+    )
+    stats = asdict(result.stats)
+    print_figures(stats)
+    report = _measure(performance, result)
+    if report.clips:
+        figures = zip(COLUMNS, table_row(report.overall), strict=True)
+        print_figures(dict(figures))
+        write_figures(json, {**report.to_json(), "operator": operator, "loop": stats})
+    else:
+        write_figures(json, {"operator": operator, "loop": stats})
+    if record is not None:
+        save_log(result.log, record)
+        print(f"recorded: {record}")
+
+
+def demo(*, out: Path = Path("reports/demo"), view: bool = False) -> None:
+    """Drive the simulated G1 with synthetic operators and write a report folder.
+
+    Args:
+        out: folder for report.html, video.mp4 and a picture.
+        view: also serve the browser view.
+    """
+    from openclone.evaluation.demo import run_demo
+
+    run_demo(out)
 
 
 def view(
@@ -80,4 +163,8 @@ def view(
         motion: clip file to play without physics.
         port: of the web page on this machine.
     """
+    if (recording is None) == (motion is None):
+        raise InputError(
+            "nothing to show", remedy="give either --recording FILE or --motion CLIP"
+        )
     raise NotImplementedError
