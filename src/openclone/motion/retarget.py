@@ -17,9 +17,10 @@ from openclone.robot import g1
 from openclone.robot.model import SOLE_CORNERS, build_model
 from openclone.spatial import rotations
 
-VERSION = 3
+VERSION = 4
 """Raise when the output changes: cached clips of older versions are made again."""
 _ARM = ("elbow_yaw", "wrist", "hand")
+_FEET = tuple(f"{side}_ankle_roll_link" for side in SIDES)
 _TRUNK = ("torso", "head", "pelvis")
 _LEG = ("hip", "thigh", "shin")
 
@@ -59,14 +60,18 @@ class RetargetQuality:
         )
 
 
-_COSTS: dict[str, tuple[float, float]] = {
+_Weight = float | tuple[float, float, float]
+_COSTS: dict[str, tuple[_Weight, _Weight]] = {
     "pelvis": (40.0, 1.5),
     "torso_link": (0.0, 5.0),
-    **{f"{side}_ankle_roll_link": (200.0, 40.0) for side in SIDES},
+    # The ankles roll by 15 degrees at most: a straddling leg tilts its foot instead of
+    # leaving its place.
+    **{f"{side}_ankle_roll_link": (200.0, (4.0, 20.0, 10.0)) for side in SIDES},
     **{f"{side}_elbow_link": (4.0, 0.0) for side in SIDES},
     **{f"{side}_wrist_yaw_link": (8.0, 0.6) for side in SIDES},
 }
-"""Link -> weights of its position (1/m) and orientation (1/rad)."""
+"""Link -> weights of its position (1/m) and orientation (1/rad), the latter perhaps
+about the link's own x, y and z."""
 
 
 def collision_pairs() -> list[tuple[list[str], list[str]]]:
@@ -161,14 +166,15 @@ class Solver:
 
     def _aim(self, targets: Targets, frame: int) -> None:
         for link, task in self._tasks.items():
-            place, turn = targets.position.get(link), targets.quat.get(link)
-            pose = np.concatenate(
-                (
-                    rotations.IDENTITY if turn is None else turn[frame],
-                    np.zeros(3) if place is None else place[frame],
-                )
-            )
-            task.set_target(mink.SE3(pose))
+            turn = targets.quat.get(link)
+            place = targets.position.get(link)
+            place = np.zeros(3) if place is None else place[frame].copy()
+            if link in _FEET:
+                # As the foot is tilted now, its lowest corner must clear the ground.
+                rotation = self._configuration.data.body(link).xmat.reshape(3, 3)
+                place[2] = max(place[2], -(SOLE_CORNERS @ rotation[2]).min())
+            quat = rotations.IDENTITY if turn is None else turn[frame]
+            task.set_target(mink.SE3(np.concatenate((quat, place))))
 
     def track(self, targets: Targets) -> np.ndarray:
         """Joint and root positions ``(T, 36)`` that follow ``targets``."""
@@ -179,8 +185,8 @@ class Solver:
         qpos = np.empty((len(targets.contact), self.model.nq))
         for frame in range(len(qpos)):
             self._limit.start(qpos[frame - 1, 7:] if frame else None)
-            self._aim(targets, frame)
             for _ in range(self.config.solves if frame else self.config.first_solves):
+                self._aim(targets, frame)
                 if self._step() < self.config.converged:
                     break
             qpos[frame] = self._configuration.q
