@@ -63,7 +63,7 @@ def summarize(clip: Clip) -> str:
         "licence": clip.info.licence,
         "length": f"{clip.num_frames} frames, {clip.seconds:.2f} s at "
         f"{clip.info.fps:g} fps",
-        "path": f"{steps.sum():.2f} m, {steps.sum() / clip.seconds:.2f} m/s on average, "
+        "path": f"{steps.sum():.2f} m, {steps.sum() / clip.seconds:.2f} m/s, "
         f"turns {heading[-1] - heading[0]:+.0f} deg",
         "head": f"{head_w[:, 2].min():.2f} to {head_w[:, 2].max():.2f} m high",
         "soles": f"the lower one {1000 * soles.min():.0f} to "
