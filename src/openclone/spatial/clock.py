@@ -81,7 +81,8 @@ class Ticker:
     """Wakes a loop at ``start + k * period``, with k whole.
 
     Deadlines are absolute, so lateness never accumulates. A loop body that takes
-    longer than its period misses deadlines: they are skipped and counted.
+    longer than its period misses deadlines: each counts as an overrun, the newest is
+    served late, older ones are skipped.
     """
 
     def __init__(self, clock: Clock, period_ns: int) -> None:
@@ -94,12 +95,13 @@ class Ticker:
 
     def wait(self) -> Wake:
         """Block until the next deadline."""
+        now = self._clock.now_ns()
         if self._next_ns is None:
-            self._next_ns = self._clock.now_ns()
-        missed = (self._clock.now_ns() - self._next_ns) // self._period_ns
-        if missed > 0:
-            self.overruns += missed
-            self._next_ns += missed * self._period_ns
+            self._next_ns = now
+        if now > self._next_ns:
+            skipped = (now - self._next_ns) // self._period_ns
+            self.overruns += skipped + 1
+            self._next_ns += skipped * self._period_ns
         deadline = self._next_ns
         self._clock.sleep_until(deadline)
         wake = Wake(self._index, deadline, self._clock.now_ns())

@@ -50,19 +50,21 @@ class OneEuroFilter:
     def reset(self) -> None:
         """Forget the past."""
         self._value: np.ndarray | None = None
-        self._velocity = np.zeros(0)
+        self._raw = self._velocity = np.zeros(0)
 
     def update(self, value: np.ndarray, period: float) -> np.ndarray:
         """Filter ``value`` measured ``period`` seconds after the one before it."""
         if self._value is None:
             self._value, self._velocity = value.copy(), np.zeros_like(value)
+            self._raw = value.copy()
             return value.copy()
         if period <= 0.0:
             return self._value.copy()
         config = self._config
         weight = smoothing_factor(config.speed_cutoff_hz, period)
-        raw = (value - self._value) / period
-        self._velocity = self._velocity + weight * (raw - self._velocity)
+        velocity = (value - self._raw) / period
+        self._raw = value.copy()
+        self._velocity = self._velocity + weight * (velocity - self._velocity)
         speed = np.sqrt((self._velocity**2).sum(-1, keepdims=True))
         cutoff = config.min_cutoff_hz + config.beta * speed
         step = smoothing_factor(cutoff, period) * (value - self._value)
@@ -81,19 +83,21 @@ class OneEuroRotationFilter:
     def reset(self) -> None:
         """Forget the past."""
         self._quat: np.ndarray | None = None
-        self._speed = np.zeros(0)
+        self._raw = self._speed = np.zeros(0)
 
     def update(self, quat: np.ndarray, period: float) -> np.ndarray:
         """Filter ``quat`` measured ``period`` seconds after the one before it."""
         if self._quat is None:
-            self._quat, self._speed = quat, np.zeros(quat.shape[:-1])
+            self._quat = self._raw = quat
+            self._speed = np.zeros(quat.shape[:-1])
             return quat
         if period <= 0.0:
             return self._quat
         config = self._config
         weight = smoothing_factor(config.speed_cutoff_hz, period)
-        raw = rotations.angle_between(self._quat, quat) / period
-        self._speed = self._speed + weight * (raw - self._speed)
+        speed = rotations.angle_between(self._raw, quat) / period
+        self._raw = quat
+        self._speed = self._speed + weight * (speed - self._speed)
         cutoff = config.min_cutoff_hz + config.beta * self._speed
         fraction = smoothing_factor(cutoff, period)
         smoothed = rotations.slerp(self._quat, quat, fraction)

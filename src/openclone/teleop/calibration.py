@@ -59,6 +59,8 @@ class CalibrationConfig:
 
     Attributes:
         operator: the operator's measures; None: head height at calibration.
+        heading_deg: direction in the operator's world, about Z, that becomes the
+            robot's heading; None: where the head looks at calibration.
         travel_scale: metres of the robot per metre of the operator's way; None: the
             ratio of heights, so that strides fit the robot's legs; 1.0: the robot
             goes exactly as far as the operator, as in the paper's experiments.
@@ -69,6 +71,7 @@ class CalibrationConfig:
     """
 
     operator: OperatorBody | None = None
+    heading_deg: float | None = None
     travel_scale: float | None = None
     proportions: BodyProportions = field(default_factory=BodyProportions)
     arm_gain: float = 1.05
@@ -197,7 +200,10 @@ def calibrate(
     part = config.proportions
     side = _SIDES[:, None] * np.array([0.0, part.shoulder_side, 0.0])
     shoulder = side - np.array([0.0, 0.0, part.shoulder_down])
-    turn = rotations.multiply(heading, rotations.conjugate(rotations.heading(quats[0])))
+    ahead = rotations.heading(quats[0])
+    if config.heading_deg is not None:
+        ahead = rotations.from_yaw(np.radians(config.heading_deg))
+    turn = rotations.multiply(heading, rotations.conjugate(ahead))
     return Calibration(
         turn=turn,
         operator_origin=positions[0, :2].copy(),

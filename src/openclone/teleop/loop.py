@@ -30,6 +30,7 @@ from openclone.teleop.messages import (
     TickDurations,
 )
 from openclone.teleop.operators.protocol import Operator
+from openclone.teleop.realtime import collect_garbage, interpreter_for_control
 from openclone.teleop.robots.protocol import RobotLink
 from openclone.teleop.safety import (
     SafetyConfig,
@@ -131,6 +132,7 @@ class TeleopLoop:
         clock: Clock,
         *,
         config: LoopConfig | None = None,
+        kinematics: Kinematics | None = None,
         subscribers: Sequence[Subscriber] = (),
     ) -> None:
         """Connect the parts; `run` starts them."""
@@ -143,7 +145,7 @@ class TeleopLoop:
         self._clock = clock
         self._subscribers = list(subscribers)
         self._subscriber_errors: list[str] = []
-        self._kinematics = Kinematics()
+        self._kinematics = kinematics or Kinematics()
         self._body = RobotBody.of(self._kinematics)
         self._tracker: OperatorTracker | None = None
         self._blend_from: KeyPoints | None = None
@@ -160,17 +162,19 @@ class TeleopLoop:
         ticker = Ticker(self._clock, PERIOD_NS)
         if self.config.auto_start:
             self.monitor.request_start()
-        self._operator.start(self._clock)
-        try:
-            while limit is None or len(self._durations_ns) < limit:
-                wake = ticker.wait()
-                tick = self.tick(wake, ticker.overruns)
-                if tick.fallen and self.config.stop_on_fall:
-                    break
-                if self._operator.finished(wake.now_ns):
-                    break
-        finally:
-            self._operator.stop()
+        with interpreter_for_control():
+            self._operator.start(self._clock)
+            try:
+                while limit is None or len(self._durations_ns) < limit:
+                    wake = ticker.wait()
+                    tick = self.tick(wake, ticker.overruns)
+                    if tick.fallen and self.config.stop_on_fall:
+                        break
+                    if self._operator.finished(wake.now_ns):
+                        break
+                    collect_garbage(wake.index)
+            finally:
+                self._operator.stop()
         return self._stats(ticker.overruns)
 
     def tick(self, wake: Wake, overruns: int) -> LoopTick:

@@ -11,6 +11,7 @@ from openclone.odometry.ground_truth import GroundTruthOdometry
 from openclone.odometry.noise import OdometryNoiseConfig
 from openclone.policy.bundle import Bundle
 from openclone.policy.controller import StudentController
+from openclone.robot.kinematics import Kinematics
 from openclone.robot.model import standing_qpos
 from openclone.simulation.robot import SimulatedRobot
 from openclone.spatial.clock import ManualClock, MonotonicClock
@@ -98,6 +99,7 @@ def run_teleop(
         StudentController(bundle),
         MonotonicClock() if realtime else ManualClock(),
         config=loop_config,
+        kinematics=Kinematics(robot.model),
         subscribers=(recorder, *subscribers),
     )
     stats = loop.run(seconds)
