@@ -1,0 +1,82 @@
+"""Contact detection against feet whose steps are known."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from openclone.motion.contacts import foot_contacts, ground_level, runs, smooth
+from openclone.motion.skeleton import JOINTS, HumanMotion
+
+Human = Callable[..., HumanMotion]
+FOOT = {
+    side: [JOINTS.index(f"{side}_{part}") for part in ("ankle", "toe")]
+    for side in ("left", "right")
+}
+
+
+def with_step(motion: HumanMotion, side: str, start: int, stop: int) -> HumanMotion:
+    """Lift one foot 10 cm and put it down 50 cm ahead, between two frames."""
+    phase = np.clip((np.arange(motion.num_frames) - start) / (stop - start), 0, 1)
+    ahead = 0.5 * (phase - np.sin(2 * np.pi * phase) / (2 * np.pi))
+    positions = motion.positions.copy()
+    for joint in FOOT[side]:
+        positions[:, joint, 0] += ahead
+        positions[:, joint, 2] += 0.1 * np.sin(np.pi * phase) ** 2
+    return replace(motion, positions=positions)
+
+
+def test_a_step_is_found_where_it_is(human: Human) -> None:
+    motion = with_step(human(100), "left", 40, 65)
+    contact = foot_contacts(motion)
+    assert contact[:, 1].all()
+    flights = runs(~contact[:, 0])
+    assert len(flights) == 1
+    start, stop = flights[0]
+    assert abs(start - 40) <= 6
+    assert abs(stop - 65) <= 6
+
+
+def test_a_jump_has_no_contact(human: Human) -> None:
+    motion = human(100)
+    time = (np.arange(100) - 40) / 50
+    height = np.maximum(1.5 * time - 9.81 / 2 * time**2, 0)
+    lifted = motion.positions + height[:, None, None] * np.array([0, 0, 1.0])
+    contact = foot_contacts(replace(motion, positions=lifted))
+    airborne = height > 0.06
+    assert not contact[airborne].any()
+    assert contact[:38].all()
+    assert contact[65:].all()
+
+
+@pytest.mark.parametrize("offset", [-0.3, 0.0, 0.25])
+def test_the_ground_may_lie_anywhere(human: Human, offset: float) -> None:
+    motion = with_step(human(100), "right", 30, 55)
+    raised = replace(motion, positions=motion.positions + np.array([0, 0, offset]))
+    assert ground_level(raised, "ankle") == pytest.approx(0.09 + offset, abs=0.005)
+    assert np.array_equal(foot_contacts(raised), foot_contacts(motion))
+
+
+def test_slow_sliding_is_still_standing_but_walking_is_not(human: Human) -> None:
+    drift = np.linspace(0, 1, 100)[:, None, None] * np.array([1.0, 0, 0])
+    motion = human(100)
+    slow = replace(motion, positions=motion.positions + 0.1 * drift)
+    fast = replace(motion, positions=motion.positions + 3.0 * drift)
+    assert foot_contacts(slow).all()
+    assert not foot_contacts(fast).any()
+
+
+def test_runs_and_smoothing() -> None:
+    assert runs(np.array([1, 1, 0, 0, 1], dtype=bool)) == [(0, 2), (4, 5)]
+    assert runs(np.zeros(3, dtype=bool)) == []
+    ramp = np.arange(50.0)[:, None]
+    assert smooth(ramp, 2.0)[10:40] == pytest.approx(ramp[10:40])
+    impulse = np.zeros(101)
+    impulse[50] = 1.0
+    spread = smooth(impulse, 3.0)
+    offsets = np.arange(101) - 50
+    assert spread.sum() == pytest.approx(1.0)
+    assert np.sqrt((spread * offsets**2).sum()) == pytest.approx(3.0, rel=0.02)
