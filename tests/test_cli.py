@@ -178,6 +178,45 @@ def test_version(openclone) -> None:
 # Bad input ---------------------------------------------------------------------------
 
 
+BVH_CUT_IN_ITS_SKELETON = """HIERARCHY
+ROOT Hips
+{
+    OFFSET 0 0 0
+    CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation
+    End Site
+    {
+        OFFSET 0 10
+"""
+
+
+@pytest.mark.parametrize(
+    "words",
+    [("teleop", "--recording"), ("motions", "retarget"), ("view", "--recording")],
+)
+def test_truncated_bvh(words, openclone, policy_file, tmp_path) -> None:
+    path = tmp_path / "cut.bvh"
+    path.write_text(BVH_CUT_IN_ITS_SKELETON)
+    options = ("--out", tmp_path) if "retarget" in words else ("--policy", policy_file)
+    assert is_one_line_error(openclone(*words, path, *options), path, "line", "; ")
+
+
+def test_real_recording_cut_short(openclone, policy_file, recordings, tmp_path) -> None:
+    whole = (recordings / "accad" / "Female1_B03_Walk1.bvh").read_text()
+    path = tmp_path / "walk.bvh"
+    path.write_text(whole[: len(whole) // 2])
+    result = openclone("teleop", "--recording", path, "--policy", policy_file)
+    assert is_one_line_error(result, path, "line", "truncated")
+
+
+def test_missing_and_unknown_recordings(openclone, policy_file, tmp_path) -> None:
+    for name in ("none.bvh", "none.npz", "song.mp3"):
+        words = ("teleop", "--recording", tmp_path / name, "--policy", policy_file)
+        assert is_one_line_error(openclone(*words), name, "; ")
+    result = openclone("evaluate", "tracking", "--motions", tmp_path / "x")
+    assert result.code == 2
+    assert is_one_line_error(openclone("view"), "--recording", "--motion")
+
+
 def test_clip_with_nan(clip_file) -> None:
     """In a process of its own: what a user sees."""
     with np.load(clip_file) as data:
@@ -255,6 +294,37 @@ def test_evaluate_tracking_writes_json(openclone, policy_file, clip_file, tmp_pa
         content["clips"]["test/stand"],
     ):
         assert keys <= set(part)
+
+
+def test_teleop_measures_and_records(openclone, policy_file, clip_file, tmp_path):
+    figures, ticks = tmp_path / "teleop.json", tmp_path / "ticks.npz"
+    words = ("--policy", policy_file, "--no-realtime", "--json", figures)
+    result = openclone(
+        "teleop",
+        "--recording",
+        clip_file,
+        *words,
+        "--seconds",
+        "0.8",
+        "--record",
+        ticks,
+    )
+    assert result.code == 0, result.err
+    content = json.loads(figures.read_text())
+    assert content["loop"]["ticks"] == 40
+    assert content["operator"] == "replay"
+    with np.load(ticks, allow_pickle=False) as data:
+        assert data["qpos"].shape == (40, 36)
+
+
+def test_retarget_one_recording(openclone, recordings, tmp_path) -> None:
+    source = recordings / "accad" / "Female1_A01_Stand.bvh"
+    words = ("--out", tmp_path, "--category", "stand", "--licence", "CC BY 3.0")
+    assert openclone("motions", "retarget", source, *words).code == 0
+    clip = load_clip(tmp_path / "Female1_A01_Stand.npz")
+    assert clip.info.category == "stand"
+    # A person who stands still stays where he or she is.
+    assert np.ptp(clip.root_position, axis=0).max() < 0.1
 
 
 def test_motions_synthesize_and_inspect(openclone, tmp_path) -> None:

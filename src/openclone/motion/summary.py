@@ -66,8 +66,8 @@ def summarize(clip: Clip) -> str:
         "path": f"{steps.sum():.2f} m, {steps.sum() / clip.seconds:.2f} m/s, "
         f"turns {heading[-1] - heading[0]:+.0f} deg",
         "head": f"{head_w[:, 2].min():.2f} to {head_w[:, 2].max():.2f} m high",
-        "soles": f"the lower one {1000 * soles.min():.0f} to "
-        f"{1000 * soles.max():.0f} mm above the ground",
+        "soles": f"the lower one {round(1000 * soles.min())} to "
+        f"{round(1000 * soles.max())} mm above the ground",
         "fastest": f"{fastest}, {speeds.max():.1f} rad/s",
         "faults": "; ".join(_faults(clip, soles, speeds)) or "none",
     }
