@@ -1,0 +1,1 @@
+"""Human recordings become motions of the G1."""

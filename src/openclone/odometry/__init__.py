@@ -1,0 +1,1 @@
+"""Where the robot is: LiDAR odometry and its error model."""

@@ -1,0 +1,1 @@
+"""Rotations, poses, clocks and filters."""

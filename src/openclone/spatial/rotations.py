@@ -42,7 +42,7 @@ def normalize(quat: Array) -> Array:
 
 
 def cross(a: Array, b: Array) -> Array:
-    """Cross product over the last axis, ``(..., 3) x (..., 3)``."""
+    """Cross product of vectors ``(..., 3)`` over the last axis."""
     xp = namespace(a)
     ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
     bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
@@ -115,7 +115,7 @@ def to_rotation_vector(quat: Array) -> Array:
 
 
 def from_rotation_vector(vector: Array) -> Array:
-    """Exponential: axis times angle in radians -> quaternion, ``(..., 3) -> (..., 4)``."""
+    """Exponential: axis times angle, radians, to quaternion, ``(..., 3) -> (..., 4)``."""
     xp = namespace(vector)
     angle = norm(vector)
     small = angle < 1e-8
@@ -166,7 +166,7 @@ def to_6d(quat: Array) -> Array:
 
 
 def from_matrix(matrix: np.ndarray) -> np.ndarray:
-    """Quaternion ``(..., 4)`` with w >= 0 of NumPy rotation matrices ``(..., 3, 3)``."""
+    """Quaternion ``(..., 4)``, w >= 0, of rotation matrices ``(..., 3, 3)``; NumPy."""
     m = matrix
     trace = m[..., 0, 0] + m[..., 1, 1] + m[..., 2, 2]
     squares = np.stack(
