@@ -32,9 +32,9 @@ def hanging_arm(rng: np.random.Generator) -> np.ndarray:
     return np.array(
         [
             rng.uniform(0.0, 0.3),
-            rng.uniform(0.15, 0.32),
+            rng.uniform(0.18, 0.35),
             rng.uniform(-0.15, 0.15),
-            rng.uniform(0.35, 1.2),
+            rng.triangular(0.3, 1.0, 1.25),
             rng.uniform(-0.3, 0.3),
             rng.uniform(-0.15, 0.15),
             rng.uniform(-0.15, 0.15),
@@ -47,6 +47,13 @@ def hanging_arms(rng: np.random.Generator) -> np.ndarray:
     left = hanging_arm(rng)
     right = left + 0.15 * (hanging_arm(rng) - left)
     return np.concatenate((left, mirrored(right, 1)))
+
+
+def hang_leaning(arms: np.ndarray, lean: float) -> np.ndarray:
+    """``arms (14,)`` when the trunk leans forward: gravity keeps them hanging."""
+    hanging = arms.copy()
+    hanging[[0, 7]] -= lean
+    return hanging
 
 
 def move_arm(

@@ -16,8 +16,10 @@ from openclone.errors import InputError
 from openclone.motion.clip import CATEGORIES, Clip, ClipInfo, clip_from_qpos
 from openclone.motion.sources import gestures
 from openclone.motion.sources.choreography import FPS, Choreography, Gait
+from openclone.motion.sources.elbow_room import LEFT_ROLL, RIGHT_ROLL, spread
 from openclone.motion.sources.track import oscillation
-from openclone.motion.sources.whole_body import Unreachable, solve
+from openclone.motion.sources.whole_body import Plan, Unreachable, solve
+from openclone.robot import g1
 
 LICENCE = "Apache-2.0, made by OpenClone"
 _SHARES = {
@@ -26,6 +28,7 @@ _SHARES = {
     "reach": 0.8, "pickup": 0.8, "transition": 1.6,
 }  # fmt: skip
 """How many clips of each category a default set holds, relative to each other."""
+_SHORTEST_S = 4.2
 _MEAN_CLIP_S = 8.8
 
 
@@ -50,7 +53,7 @@ def _start(rng: np.random.Generator, **changes: float | bool) -> Choreography:
 def _finish(score: Choreography) -> None:
     """Stand quietly at the end; breathe and sway a little throughout."""
     rng = score.rng
-    score.hold(rng.uniform(0.8, 1.3))
+    score.hold(max(rng.uniform(0.8, 1.3), _SHORTEST_S - score.time_s))
     end_s = score.time_s
     for track, scale in ((score.waist, 0.02), (score.arms, 0.03), (score.zmp, 0.004)):
         size = len(track.end)
@@ -86,8 +89,8 @@ def _gait(rng: np.random.Generator, speed: float) -> tuple[Gait, float]:
 
 
 def _steps(rng: np.random.Generator, gait: Gait) -> int:
-    """Number of steps that fills 3 to 7 seconds."""
-    return round(rng.uniform(3.0, 7.0) / gait.step_s)
+    """Number of steps that fills 2.5 to 6 seconds."""
+    return round(rng.uniform(2.5, 6.0) / gait.step_s)
 
 
 def _stand(score: Choreography) -> None:
@@ -160,15 +163,15 @@ def _squat(score: Choreography) -> None:
         seconds = rng.uniform(1.1, 2.0)
         start_s = score.time_s
         _crouch(score, low, seconds)
+        before = score.arms.end.copy()
         if rng.uniform() < 0.5:
             arm = np.array([-rng.uniform(0.6, 1.3), 0.15, 0.0, 1.0, 0.0, 0.0, 0.0])
-            both = np.concatenate((arm, gestures.mirrored(arm, 1)))
-            before = score.arms.end.copy()
-            score.arms.move(start_s, start_s + seconds, both)
-            score.hold(seconds + rng.uniform(0.1, 0.8))
-            score.arms.move(score.time_s, score.time_s + seconds, before)
+            arms = np.concatenate((arm, gestures.mirrored(arm, 1)))
         else:
-            score.hold(seconds + rng.uniform(0.1, 0.8))
+            arms = gestures.hang_leaning(before, 2.0 * score.trunk.end[1])
+        score.arms.move(start_s, start_s + seconds, arms)
+        score.hold(seconds + rng.uniform(0.1, 0.8))
+        score.arms.move(score.time_s, score.time_s + seconds, before)
         _crouch(score, upright, seconds)
         score.hold(seconds)
 
@@ -186,12 +189,16 @@ def _crouchwalk(score: Choreography) -> None:
     low, lean = rng.uniform(0.6, 0.67), rng.uniform(0.45, 0.65)
     score.change_height(low, 1.2)
     score.lean(lean, score.time_s, score.time_s + 1.2)
+    before = score.arms.end.copy()
+    arms = gestures.hang_leaning(before, lean)
+    score.arms.move(score.time_s, score.time_s + 1.2, arms)
     score.hold(1.0)
     gait, _ = _gait(rng, rng.uniform(0.12, 0.35))
     gait = replace(gait, heel=rng.uniform(0.3, 0.5))
     score.walk(gait, _steps(rng, gait))
     score.change_height(upright, 1.3)
     score.lean(0.0, score.time_s, score.time_s + 1.3)
+    score.arms.move(score.time_s, score.time_s + 1.3, before)
     score.hold(1.3)
 
 
@@ -269,7 +276,7 @@ def _pickup(score: Choreography) -> None:
     sides = [0, 1] if rng.uniform() < 0.6 else [int(rng.integers(2))]
     for side in sides:
         sign = 1.0 if side == 0 else -1.0
-        point = np.array([rng.uniform(0.25, 0.33), sign * rng.uniform(0.08, 0.2), -0.1])
+        point = np.array([rng.uniform(0.2, 0.3), sign * rng.uniform(0.24, 0.32), -0.1])
         arm = gestures.reaching_arm(side, point)
         gestures.move_arm(score, side, arm, start_s + 0.2, start_s + seconds)
     score.hold(seconds + rng.uniform(0.3, 0.8))
@@ -298,6 +305,19 @@ _CHOREOGRAPHIES: dict[str, Callable[[Choreography], None]] = {
     "crouchwalk": _crouchwalk, "jump": _jump, "punch": _punch, "wave": _wave,
     "reach": _reach, "pickup": _pickup, "transition": _transition,
 }  # fmt: skip
+
+
+def _solve_clear(plan: Plan) -> np.ndarray:
+    """Positions ``(T, 36)`` for ``plan`` with arms that stay out of the body."""
+    qpos = solve(plan)
+    offset = spread(qpos)
+    if not offset.any():
+        return qpos
+    upper = plan.upper_joints.copy()
+    upper[:, LEFT_ROLL - 19] += offset[:, 0]
+    upper[:, RIGHT_ROLL - 19] -= offset[:, 1]
+    lower, highest = g1.JOINT_LOWER[12:] + 0.05, g1.JOINT_UPPER[12:] - 0.05
+    return solve(replace(plan, upper_joints=np.clip(upper, lower, highest)))
 
 
 def generate(category: str, rng: np.random.Generator, name: str = "") -> Clip:
@@ -333,7 +353,7 @@ def generate(category: str, rng: np.random.Generator, name: str = "") -> Clip:
         _CHOREOGRAPHIES[category](score)
         _finish(score)
         try:
-            return clip_from_qpos(info, solve(score.plan()))
+            return clip_from_qpos(info, _solve_clear(score.plan()))
         except Unreachable:
             continue  # The chosen step is too long for the chosen height: draw again.
 
