@@ -57,17 +57,16 @@ def _load_performance(path: Path, seconds: float | None) -> _Performance:
         recording = operator_of(clip, Kinematics())
         config = SessionConfig(loop, replay)
         return _Performance(recording, clip.info, _reference(clip), config)
+    from openclone.evaluation.human_operator import operator_of_motion
     from openclone.motion.clip import ClipInfo
     from openclone.motion.library import read_recording
     from openclone.motion.retarget import retarget
-    from openclone.motion.skeleton import operator_points
-    from openclone.teleop.messages import recording_at_rate
 
     motion = read_recording(path)
-    recording = recording_at_rate(motion.name, motion.fps, *operator_points(motion))
+    recording, calibration = operator_of_motion(motion)
     info = ClipInfo(path.stem, "transition", str(path), "unknown", motion.fps)
     clip, _ = retarget(motion, info)
-    config = SessionConfig(replay=replay)
+    config = SessionConfig(LoopConfig(calibration=calibration), replay)
     return _Performance(recording, info, _reference(clip), config)
 
 
