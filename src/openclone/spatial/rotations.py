@@ -51,7 +51,7 @@ def cross(a: Array, b: Array) -> Array:
 
 
 def multiply(a: Array, b: Array) -> Array:
-    """Hamilton product: ``q_a_from_c = multiply(q_a_from_b, q_b_from_c)``."""
+    """Hamilton product, in reading order: a from b, times b from c, is a from c."""
     xp = namespace(a)
     aw, ax, ay, az = a[..., 0], a[..., 1], a[..., 2], a[..., 3]
     bw, bx, by, bz = b[..., 0], b[..., 1], b[..., 2], b[..., 3]
@@ -115,7 +115,7 @@ def to_rotation_vector(quat: Array) -> Array:
 
 
 def from_rotation_vector(vector: Array) -> Array:
-    """Exponential: axis times angle, radians, to quaternion, ``(..., 3) -> (..., 4)``."""
+    """Exponential: axis times angle in radians, ``(..., 3)``, to ``(..., 4)``."""
     xp = namespace(vector)
     angle = norm(vector)
     small = angle < 1e-8
