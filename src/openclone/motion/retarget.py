@@ -17,9 +17,10 @@ from openclone.robot import g1
 from openclone.robot.model import SOLE_CORNERS, build_model
 from openclone.spatial import rotations
 
-VERSION = 4
+VERSION = 5
 """Raise when the output changes: cached clips of older versions are made again."""
 _ARM = ("elbow_yaw", "wrist", "hand")
+_ARM_JOINTS = slice(15, g1.NUM_JOINTS)
 _FEET = tuple(f"{side}_ankle_roll_link" for side in SIDES)
 _TRUNK = ("torso", "head", "pelvis")
 _LEG = ("hip", "thigh", "shin")
@@ -82,11 +83,13 @@ def collision_pairs() -> list[tuple[list[str], list[str]]]:
 
     trunk = [f"{part}_collision" for part in _TRUNK]
     left, right = named("left", _ARM), named("right", _ARM)
+    upper = [f"{side}_shoulder_yaw_collision" for side in SIDES]
     legs = named("left", _LEG) + named("right", _LEG)
     inner = (*_LEG, "linkage_brace")
     return [
-        (left, right),
-        (left + right, trunk + legs),
+        (left + upper, right + upper),
+        (left + right + upper, trunk + legs),
+        (["torso_collision"], legs),
         (named("left", ("thigh", "shin", "linkage_brace")), named("right", inner[1:])),
     ]
 
@@ -133,7 +136,10 @@ class Solver:
             for link, costs in _COSTS.items()
         }
         self._posture = mink.PostureTask(self.model, cost=0.02)
-        self._damping = mink.DampingTask(self.model, cost=0.05)
+        damping = np.full(self.model.nv, 0.05)
+        # The hanging, stretched arm is singular: nothing holds its turn about itself.
+        damping[6 + _ARM_JOINTS.start :] = 0.3
+        self._damping = mink.DampingTask(self.model, cost=damping)
         lower, upper = _joint_ranges(self.config)
         self._limit = _FrameLimit(lower, upper, self.config.max_joint_speed / FPS)
         # mink divides the allowed approach by the time step; ours is 1, so that the
