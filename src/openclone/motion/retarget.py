@@ -19,6 +19,9 @@ from openclone.spatial import rotations
 
 VERSION = 5
 """Raise when the output changes: cached clips of older versions are made again."""
+MAX_ANKLE_MM, MAX_WRIST_MM = 30.0, 120.0
+"""Mean distances from the targets above which a clip would not be the same motion."""
+
 _ARM = ("elbow_yaw", "wrist", "hand")
 _ARM_JOINTS = slice(15, g1.NUM_JOINTS)
 _FEET = tuple(f"{side}_ankle_roll_link" for side in SIDES)
@@ -274,7 +277,7 @@ def retarget(
     targets = make_targets(motion_at_origin(motion.resampled(FPS)), solver.config)
     qpos = solver.track(targets)
     quality = measure(solver.model, qpos, targets)
-    if quality.ankle_mm > 80 or quality.wrist_mm > 200:
+    if quality.ankle_mm > MAX_ANKLE_MM or quality.wrist_mm > MAX_WRIST_MM:
         raise CannotFollowError(
             f"the robot cannot follow it ({quality})",
             where=motion.name,
