@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 
 from openclone.robot.model import add_floor, build_spec, g1_xml
+from openclone.spatial import rotations
 
 GHOST_RGBA = (0.15, 0.55, 0.95, 0.28)
 PREFIX = "ghost_"
@@ -70,17 +71,42 @@ def _thin_out_meshes(specs: tuple[mujoco.MjSpec, ...], cell: float) -> None:
             mesh.userface = faces.reshape(-1)
 
 
-def build_ghost_model(*, floor: bool = True) -> mujoco.MjModel:
+def build_picture_model(cell: float = MESH_CELL) -> mujoco.MjModel:
+    """The robot alone, without a floor; ``cell`` as in `thin_out`."""
+    spec = build_spec()
+    _thin_out_meshes((spec,), cell)
+    return spec.compile()
+
+
+def visual_mesh(model: mujoco.MjModel, body: int) -> tuple[np.ndarray, np.ndarray]:
+    """All visual meshes of a body as one: vertices ``(v, 3)`` in its frame, faces.
+
+    Args:
+        model: with the G1's bodies.
+        body: its number.
+    """
+    vertices, faces, count = [np.empty((0, 3))], [np.empty((0, 3), dtype=int)], 0
+    for geom in np.flatnonzero(model.geom_bodyid == body):
+        mesh = int(model.geom_dataid[geom])
+        if model.geom_group[geom] != VISUAL_GROUP or mesh < 0:
+            continue
+        first, size = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
+        corner, sides = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
+        turn = np.tile(model.geom_quat[geom], (size, 1))
+        local = model.mesh_vert[first : first + size].astype(float)
+        vertices.append(rotations.rotate(turn, local) + model.geom_pos[geom])
+        faces.append(model.mesh_face[corner : corner + sides] + count)
+        count += size
+    return np.concatenate(vertices), np.concatenate(faces)
+
+
+def build_ghost_model() -> mujoco.MjModel:
     """Robot, floor, sky and ghost; ``qpos`` (72,) is the robot's, then the ghost's.
 
     For `mujoco.mj_kinematics` only: the ghost has no motors and touches nothing.
-
-    Args:
-        floor: whether there is a ground plane.
     """
     spec = build_spec()
-    if floor:
-        add_floor(spec)
+    add_floor(spec)
     spec.add_texture(
         name="sky",
         type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
