@@ -20,7 +20,7 @@ _TOUCH = 0.002
 _SPREAD = 0.12
 """Radians that one pass adds to the shoulder roll."""
 _PASSES = 8
-_SMOOTHING = 7.0
+_SMOOTHING = 9.0
 """Frames; standard deviation of the filter that makes the spreading smooth."""
 _ARM_PARTS = ("shoulder", "elbow", "wrist")
 LEFT_ROLL, RIGHT_ROLL = 23, 30
@@ -69,7 +69,7 @@ def spread(qpos: np.ndarray) -> np.ndarray:
         if not hit.any():
             break
         need = need + _SPREAD * hit
-        wide = maximum_filter1d(need, round(6 * _SMOOTHING), axis=0)
+        wide = maximum_filter1d(need, round(5 * _SMOOTHING), axis=0)
         before = offset
         offset = gaussian_filter1d(wide, _SMOOTHING, axis=0, mode="nearest")
         qpos[:, LEFT_ROLL] += offset[:, 0] - before[:, 0]

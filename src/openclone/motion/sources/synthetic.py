@@ -28,7 +28,7 @@ _SHARES = {
     "reach": 0.8, "pickup": 0.8, "transition": 1.6,
 }  # fmt: skip
 """How many clips of each category a default set holds, relative to each other."""
-_SHORTEST_S = 4.2
+_SHORTEST_S, _LONGEST_S = 4.2, 12.0
 _MEAN_CLIP_S = 8.8
 
 
@@ -129,7 +129,7 @@ def _backward(score: Choreography) -> None:
 def _stepside(score: Choreography) -> None:
     rng = score.rng
     gait = Gait(
-        sideways=rng.uniform(0.06, 0.12) * rng.choice([-1.0, 1.0]),
+        sideways=rng.uniform(0.07, 0.12) * rng.choice([-1.0, 1.0]),
         step_s=rng.uniform(0.45, 0.62),
         shift_s=rng.uniform(0.14, 0.2),
         clearance=rng.uniform(0.035, 0.06),
@@ -352,6 +352,8 @@ def generate(category: str, rng: np.random.Generator, name: str = "") -> Clip:
             score = _start(rng)
         _CHOREOGRAPHIES[category](score)
         _finish(score)
+        if score.time_s > _LONGEST_S:
+            continue
         try:
             return clip_from_qpos(info, _solve_clear(score.plan()))
         except Unreachable:
