@@ -37,7 +37,7 @@ class TrackerConfig:
     rotation: OneEuroConfig = field(
         default_factory=lambda: OneEuroConfig(3.0, 4.0, 3.0)
     )
-    velocity_cutoff_hz: float = 6.0
+    velocity_cutoff_hz: float = 10.0
     max_speed: float = 15.0
     max_lead_s: float = 0.06
 
