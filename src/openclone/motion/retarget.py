@@ -19,7 +19,7 @@ from openclone.spatial import rotations
 
 VERSION = 5
 """Raise when the output changes: cached clips of older versions are made again."""
-MAX_ANKLE_MM, MAX_WRIST_MM = 30.0, 120.0
+MAX_ANKLE_MM, MAX_WRIST_MM = 15.0, 100.0
 """Mean distances from the targets above which a clip would not be the same motion."""
 
 _ARM = ("elbow_yaw", "wrist", "hand")
