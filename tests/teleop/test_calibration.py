@@ -1,5 +1,3 @@
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -180,36 +178,3 @@ def test_measures_of_an_operator_who_begins_in_a_squat() -> None:
     operator = measure_operator(positions, quats, BodyProportions())
     assert operator.head_height == pytest.approx(HEIGHT, abs=0.01)
     assert operator.arm == pytest.approx(0.357 * HEIGHT, rel=0.02)
-
-
-def test_targets_look_like_the_retargeted_motion(
-    recordings: Path, kinematics: Kinematics, body: RobotBody
-) -> None:
-    """Live targets and training motions come from one human by two ways."""
-    from openclone.motion.clip import ClipInfo
-    from openclone.motion.contacts import ground_level
-    from openclone.motion.library import read_recording
-    from openclone.motion.retarget import FPS, retarget
-    from openclone.motion.skeleton import operator_points, start_at_origin
-    from openclone.robot.state import key_point_poses
-
-    motion = read_recording(recordings / "cmu" / "test_walking_1.bvh")
-    motion = start_at_origin(motion.resampled(FPS))
-    clip, _ = retarget(motion, ClipInfo("walk", "forward", "", "", FPS))
-    wanted, wanted_quat = key_point_poses(*kinematics.trajectory(clip.qpos))
-    positions, quats = operator_points(motion)
-    positions = positions - [0, 0, ground_level(motion, "toe") - 0.03]
-    config = CalibrationConfig(
-        operator=measure_operator(positions, quats, BodyProportions()),
-        heading_deg=0.0,
-        travel_scale=0.624 / motion.leg_length,
-    )
-    start = KeyPoints(wanted[0], wanted_quat[0])
-    calibration = calibrate(positions[0], quats[0], start, IDENTITY, body, config)
-    found = calibration.apply(positions, quats)
-    count = min(len(wanted), len(found.position))
-    error = found.position[:count] - wanted[:count]
-    error -= error[:, :1].mean(0) * [1, 1, 0]  # where the origin lies is arbitrary
-    assert np.linalg.norm(error, axis=-1).mean() < 0.06
-    turn = rotations.angle_between(found.quat[:count, 1:], wanted_quat[:count, 1:])
-    assert np.degrees(turn).mean() < 15.0

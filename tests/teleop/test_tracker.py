@@ -117,6 +117,54 @@ def test_a_jump_of_a_wrist_is_rejected(calibration: Calibration) -> None:
     np.testing.assert_allclose(command.target.position, expected, atol=1e-3)
 
 
+def test_a_lasting_jump_of_a_wrist_is_believed_in_the_end(
+    calibration: Calibration,
+) -> None:
+    tracker = OperatorTracker(calibration)
+    walk(tracker, 50, 0.0)
+    moved = STANDING_HUMAN.copy()
+    moved[1] += [0.4, 0, 0.3]
+    for index in range(50, 150):
+        tracker.update(frame(index, moved))
+        velocity = tracker.command(0, stale=False).velocity
+        assert np.linalg.norm(velocity, axis=1).max() <= 4.0 + 1e-9
+    command = tracker.command(149 * PERIOD_NS + 10**12, stale=False)
+    expected = calibration.apply(moved, ARMS_DOWN).position
+    np.testing.assert_allclose(command.target.position, expected, atol=1e-3)
+
+
+def test_when_the_whole_operator_jumps_the_robot_stays(
+    calibration: Calibration,
+) -> None:
+    tracker = OperatorTracker(calibration)
+    walk(tracker, 50, 0.0)
+    quarter = rotations.from_yaw(np.full(3, np.pi / 2))
+    elsewhere = np.add(rotations.rotate(quarter, STANDING_HUMAN), [2.0, -1.0, 0.0])
+    turned = rotations.multiply(quarter, ARMS_DOWN)
+    expected = calibration.apply(STANDING_HUMAN, ARMS_DOWN).position
+    for index in range(50, 150):
+        stamp = index * PERIOD_NS
+        tracker.update(OperatorFrame(stamp, stamp, elsewhere, turned, ALL))
+        command = tracker.command(stamp, stale=False)
+        assert np.linalg.norm(command.velocity, axis=1).max() < 0.1
+    np.testing.assert_allclose(command.target.position, expected, atol=1e-3)
+
+
+def test_a_short_gap_keeps_the_map_and_a_long_way_moves_it(
+    calibration: Calibration,
+) -> None:
+    for way, moves in ((0.3, False), (1.5, True)):
+        tracker = OperatorTracker(calibration)
+        walk(tracker, 50, 0.0)
+        there = STANDING_HUMAN + np.array([way, 0, 0])
+        tracker.resume(frame(100, there))
+        target = tracker.command(100 * PERIOD_NS + 10**12, stale=False).target
+        honest = calibration.apply(there, ARMS_DOWN).position
+        before = calibration.apply(STANDING_HUMAN, ARMS_DOWN).position
+        expected = before if moves else honest
+        np.testing.assert_allclose(target.position, expected, atol=1e-6)
+
+
 def test_blend_begins_and_ends_exactly_and_rises_smoothly() -> None:
     rng = np.random.default_rng(0)
     quats = rotations.normalize(rng.standard_normal((2, 3, 4)))

@@ -8,7 +8,7 @@ are not tracked: they are placed below the head by the proportions of the body.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -153,6 +153,24 @@ class Calibration:
         hand = self._hand(arm * self.arm_scale, heading, quat[..., 1:, :])
         hands = head[..., None, :] + hand
         return KeyPoints(np.concatenate((head[..., None, :], hands), -2), quat)
+
+    def anchored(
+        self, positions: np.ndarray, quats: np.ndarray, held: KeyPoints
+    ) -> Calibration:
+        """The same scales, moved and turned so that the head lands on ``held``'s.
+
+        Args:
+            positions: (3, 3), metres, operator's world, now.
+            quats: (3, 4), wxyz, operator's world from point, now.
+            held: targets that the robot holds; only the head's place and heading count.
+        """
+        back = rotations.conjugate(rotations.heading(quats[0]))
+        return replace(
+            self,
+            turn=rotations.multiply(rotations.heading(held.quat[0]), back),
+            operator_origin=positions[0, :2].copy(),
+            robot_origin=held.position[0, :2].copy(),
+        )
 
     def _scale(self) -> np.ndarray:
         return np.array([self.travel_scale, self.travel_scale, self.head_scale])

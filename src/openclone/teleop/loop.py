@@ -270,8 +270,11 @@ class TeleopLoop:
         if phase is not before:
             if phase is Phase.RAMP:
                 self._blend_from = now.measured
-            elif before is Phase.HOLD and self._command is not None:
+            elif before is Phase.HOLD and phase is Phase.ACTIVE:
+                assert self._command is not None
                 self._blend_from = self._command.target
+                if self._tracker is not None and now.frame is not None:
+                    self._tracker.resume(now.frame)
         return phase
 
     def _choose_command(self, now: _Inputs, phase: Phase) -> Command | None:

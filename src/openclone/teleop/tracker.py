@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -27,8 +27,12 @@ class TrackerConfig:
         position: One-Euro filter of the points, speeds in m/s.
         rotation: One-Euro filter of the orientations, speeds in rad/s.
         velocity_cutoff_hz: low-pass of the target velocities.
-        max_speed: m/s; a faster jump of a point is taken for a tracking error.
+        max_speed: m/s; a point that moves faster has jumped and is not believed, until
+            the time that has passed makes the distance plausible.
+        max_target_speed: m/s; target velocities are cut to this.
         max_lead_s: seconds that a target is extrapolated at most.
+        anchor_distance: metres; if the operator reappears further away than this, the
+            head's target stays where it is and the map is moved instead.
     """
 
     position: OneEuroConfig = field(
@@ -39,7 +43,9 @@ class TrackerConfig:
     )
     velocity_cutoff_hz: float = 10.0
     max_speed: float = 15.0
+    max_target_speed: float = 4.0
     max_lead_s: float = 0.06
+    anchor_distance: float = 0.3
 
 
 class OperatorTracker:
@@ -57,6 +63,7 @@ class OperatorTracker:
         self._last: OperatorFrame | None = None
         self._targets: KeyPoints | None = None
         self._velocity = np.zeros((3, 3))
+        self._doubted_s = np.zeros(3)
 
     def update(self, frame: OperatorFrame) -> None:
         """Take a frame; one that was already taken changes nothing."""
@@ -66,12 +73,39 @@ class OperatorTracker:
         period = 0.0
         if last is not None:
             period = (frame.sensor_stamp_ns - last.sensor_stamp_ns) * 1e-9
-            frame = self._plausible(frame, last, period)
+            frame, head_jumped = self._plausible(frame, last, period)
+            if head_jumped:
+                self.resume(frame)
+                return
         positions = self._points.update(frame.positions, period)
         quats = self._turns.update(frame.quats, period)
         self._targets = self._calibration.apply(positions, quats)
-        self._velocity = self._differentiator.update(self._targets.position, period)
+        velocity = self._differentiator.update(self._targets.position, period)
+        speed = np.maximum(np.linalg.norm(velocity, axis=1, keepdims=True), 1e-9)
+        self._velocity = velocity * np.minimum(
+            1.0, self._config.max_target_speed / speed
+        )
         self._last = frame
+
+    def resume(self, frame: OperatorFrame) -> None:
+        """Begin afresh with ``frame`` after a gap or a jump.
+
+        If the operator went far meanwhile, the robot shall not run after: the head's
+        place and heading in the operator's world are mapped to the last target.
+        """
+        held = self._targets
+        target = self._calibration.apply(frame.positions, frame.quats)
+        if held is not None:
+            moved = np.linalg.norm(target.position[0] - held.position[0])
+            if moved > self._config.anchor_distance:
+                self._calibration = self._calibration.anchored(
+                    frame.positions, frame.quats, held
+                )
+        for part in (self._points, self._turns, self._differentiator):
+            part.reset()
+        self._doubted_s[:] = 0.0
+        self._last = None
+        self.update(frame)
 
     def command(self, now_ns: int, stale: bool) -> Command:
         """The targets for the next control step, extrapolated to it.
@@ -91,27 +125,37 @@ class OperatorTracker:
 
     def _plausible(
         self, frame: OperatorFrame, last: OperatorFrame, period: float
-    ) -> OperatorFrame:
+    ) -> tuple[OperatorFrame, bool]:
         """Replace points that are lost or have jumped by their last good pose.
 
-        A hand that is lost stays where it was relative to the head.
+        A hand that is lost stays where it was relative to the head; without the head
+        everything stays.
+
+        Returns:
+            The frame to use, and whether the head has come to rest after a jump.
         """
         moved = frame.positions - last.positions
-        jumped = np.linalg.norm(moved, axis=1) > self._config.max_speed * period
+        distance = np.linalg.norm(moved, axis=1)
+        jumped = distance > self._config.max_speed * (period + self._doubted_s)
         bad = jumped | ~frame.tracked
-        if not bad.any():
-            return frame
-        positions, quats = frame.positions.copy(), frame.quats.copy()
-        head_move = np.zeros(3) if bad[0] else moved[0]
-        positions[bad] = last.positions[bad] + head_move
-        quats[bad] = last.quats[bad]
-        return OperatorFrame(
-            frame.sensor_stamp_ns,
-            frame.receive_stamp_ns,
-            positions,
-            quats,
-            frame.tracked & ~jumped,
+        bad |= bad[0]  # a hand means nothing without the head
+        head_jumped = bool(
+            not bad[0]
+            and self._doubted_s[0] > 0.0
+            and distance[0] > self._config.anchor_distance
         )
+        self._doubted_s = np.where(bad, self._doubted_s + period, 0.0)
+        if not bad.any() or head_jumped:
+            return frame, head_jumped
+        positions, quats = frame.positions.copy(), frame.quats.copy()
+        positions[bad] = last.positions[bad]
+        if not bad[0]:
+            positions[bad] += moved[0]
+        quats[bad] = last.quats[bad]
+        used = replace(
+            frame, positions=positions, quats=quats, tracked=frame.tracked & ~jumped
+        )
+        return used, False
 
 
 def blend_commands(start: KeyPoints, command: Command, weight: float) -> Command:
