@@ -83,12 +83,17 @@ def _direction(motion: HumanMotion, start: str, end: str, sigma: float) -> np.nd
 def _foot_angles(motion: HumanMotion, side: str) -> tuple[np.ndarray, np.ndarray]:
     """Yaw and pitch (T,) of the foot, radians, pitch up positive.
 
-    The yaw is the twist of the foot's rotation about the vertical, which stays defined
-    when the foot points straight down; the pitch that of the line from ankle to ball.
+    A level foot's yaw is that of the line from ankle to ball. The steeper the line,
+    the more counts the twist of the foot's rotation about the vertical, which stays
+    defined when the foot points straight down.
     """
     quat = motion.orientation(f"{side}_ankle")
-    yaw = np.unwrap(2.0 * np.arctan2(quat[:, 3], quat[:, 0]))
+    twist = 2.0 * np.arctan2(quat[:, 3], quat[:, 0])
     bone = motion.joint(f"{side}_toe") - motion.joint(f"{side}_ankle")
+    level = np.linalg.norm(bone[:, :2], axis=1) / np.linalg.norm(bone, axis=1)
+    weight = np.clip((level - 0.5) / 0.3, 0.0, 1.0)
+    line = np.arctan2(bone[:, 1], bone[:, 0])
+    yaw = np.unwrap(twist + weight * rotations.wrap_angle(line - twist))
     ahead = bone[:, 0] * np.cos(yaw) + bone[:, 1] * np.sin(yaw)
     return yaw, np.arctan2(bone[:, 2], ahead)
 
