@@ -22,6 +22,7 @@ from openclone.spatial import rotations
 
 FPS = 25
 WIDTH, HEIGHT = 640, 480
+STILL_WIDTH, STILL_HEIGHT = 1280, 960
 _TIMEOUT_SECONDS = 600
 _POINT_COLOURS = ((0.95, 0.55, 0.1, 1), (0.2, 0.75, 0.3, 1), (0.8, 0.25, 0.6, 1))
 _AXIS_COLOURS = ((0.9, 0.1, 0.1, 1), (0.1, 0.7, 0.1, 1), (0.1, 0.2, 0.9, 1))
@@ -52,20 +53,29 @@ class Film:
 class Camera:
     """Renders single pictures; follows the robot from the front left."""
 
-    def __init__(self) -> None:
-        """Build the model and the off-screen renderer."""
+    def __init__(self, width: int, height: int, samples: int) -> None:
+        """Build the model and the off-screen renderer.
+
+        Args:
+            width: of the pictures; at most 1280.
+            height: of the pictures; at most 960.
+            samples: of antialiasing; 4 double the time of a picture in software.
+        """
         self._model = build_ghost_model()
-        # Antialiasing doubles the time of a picture in software.
-        self._model.vis.quality.offsamples = 0
+        self._model.vis.quality.offsamples = samples
         self._data = mujoco.MjData(self._model)
-        self._renderer = mujoco.Renderer(self._model, HEIGHT, WIDTH)
+        self._renderer = mujoco.Renderer(self._model, height, width)
         self._camera = mujoco.MjvCamera()
         self._camera.distance = 2.9
         self._camera.azimuth = 140.0
         self._camera.elevation = -14.0
 
+    def close(self) -> None:
+        """Free the renderer."""
+        self._renderer.close()
+
     def picture(self, film: Film, frame: int) -> np.ndarray:
-        """(480, 640, 3) uint8 of ``film`` at ``frame``."""
+        """(height, width, 3) uint8 of ``film`` at ``frame``."""
         both = ghost_qpos(film.qpos[frame], film.reference_qpos[frame])
         self._data.qpos[:] = both
         mujoco.mj_kinematics(self._model, self._data)
@@ -80,6 +90,7 @@ class Camera:
         # In software, shadows take three times as long as everything else.
         scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = 0
         scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = 0
+        _draw_shadow(scene, film.qpos[frame])
         for point in range(3):
             colour = _POINT_COLOURS[point]
             _draw_target(
@@ -89,6 +100,16 @@ class Camera:
                 colour,
             )
         return self._renderer.render()
+
+
+def _draw_shadow(scene: mujoco.MjvScene, qpos: np.ndarray) -> None:
+    """A dim disc below the pelvis: without any shadow the robot seems to float."""
+    place = np.array([qpos[0], qpos[1], 0.001])
+    for radius in np.linspace(0.12, 0.3, 8):
+        size = np.array([radius, radius, 0.0005])
+        _add_geom(
+            scene, mujoco.mjtGeom.mjGEOM_ELLIPSOID, size, place, (0.0, 0.0, 0.0, 0.04)
+        )
 
 
 def _draw_target(
@@ -129,7 +150,10 @@ def write_film(film: Film, video: Path, still: Path) -> None:
     import av
     from matplotlib import image
 
-    camera = Camera()
+    camera = Camera(STILL_WIDTH, STILL_HEIGHT, samples=4)
+    image.imsave(still, camera.picture(film, _eventful(film)))
+    camera.close()  # two open off-screen contexts disturb each other
+    camera = Camera(WIDTH, HEIGHT, samples=0)
     every = max(1, round(1.0 / (FPS * film.period)))
     frames = range(0, len(film.qpos), every)
     codec = "libx264" if "libx264" in av.codecs_available else "mpeg4"
@@ -141,7 +165,7 @@ def write_film(film: Film, video: Path, still: Path) -> None:
             picture = av.VideoFrame.from_ndarray(camera.picture(film, index), "rgb24")
             container.mux(stream.encode(picture))
         container.mux(stream.encode())
-    image.imsave(still, camera.picture(film, _eventful(film)))
+    camera.close()
 
 
 def _eventful(film: Film) -> int:
