@@ -25,7 +25,7 @@ demo: install
 	$(VENV)/bin/openclone demo $(if $(VIEW),--view)
 
 test: install
-	$(VENV)/bin/pytest $(COVERAGE) --cov-report=term
+	$(VENV)/bin/pytest $(COVERAGE) --cov-report=term --cov-fail-under=85
 
 lint: install
 	$(VENV)/bin/ruff check

@@ -4,95 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from openclone.cli.options import positive, print_figures, write_figures
+from openclone.cli.performance import Performance, load_performance, measure_session
 from openclone.errors import InputError
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from openclone.evaluation.tracking import TrackingReport
-    from openclone.motion.clip import Clip, ClipInfo
-    from openclone.teleop.messages import OperatorRecording, Subscriber
-    from openclone.teleop.session import SessionConfig, SessionResult
+    from openclone.teleop.messages import Subscriber
+    from openclone.teleop.session import SessionResult
     from openclone.viewer.app import TeleopView
-
-
-@dataclass(frozen=True)
-class _Performance:
-    """An operator to replay, and the motion of the G1 that he or she means.
-
-    Attributes:
-        recording: head and wrists, operator's world.
-        info: name and category of the motion.
-        reference: (T, 36), the motion on the G1 at 50 Hz, in the robot's world; what
-            metrics compare the robot with.
-        config: settings that suit this operator.
-    """
-
-    recording: OperatorRecording
-    info: ClipInfo
-    reference: np.ndarray
-    config: SessionConfig
-
-
-def _load_performance(path: Path, seconds: float | None) -> _Performance:
-    """Read a clip (.npz) or a human recording, which is retargeted for its metrics."""
-    from openclone.teleop.loop import LoopConfig
-    from openclone.teleop.operators.replay import ReplayConfig
-    from openclone.teleop.session import SessionConfig
-
-    # With a given length the operator stays at the end of the recording.
-    replay = ReplayConfig(tail_s=1.0 if seconds is None else max(seconds, 1.0))
-    if path.suffix == ".npz":
-        from openclone.evaluation.operator import calibration_of_operator, operator_of
-        from openclone.motion.clip import load_clip
-        from openclone.robot.kinematics import Kinematics
-
-        clip = load_clip(path)
-        loop = LoopConfig(calibration=calibration_of_operator())
-        recording = operator_of(clip, Kinematics())
-        config = SessionConfig(loop, replay)
-        return _Performance(recording, clip.info, _reference(clip), config)
-    from openclone.evaluation.human_operator import operator_of_motion
-    from openclone.motion.clip import ClipInfo
-    from openclone.motion.library import read_recording
-    from openclone.motion.retarget import retarget
-
-    motion = read_recording(path)
-    recording, calibration = operator_of_motion(motion)
-    info = ClipInfo(path.stem, "transition", str(path), "unknown", motion.fps)
-    clip, _ = retarget(motion, info)
-    config = SessionConfig(LoopConfig(calibration=calibration), replay)
-    return _Performance(recording, info, _reference(clip), config)
-
-
-def _reference(clip: Clip) -> np.ndarray:
-    """The clip at 50 Hz, placed where calibration places its operator."""
-    from openclone.evaluation.programme import place_head
-    from openclone.robot.kinematics import Kinematics
-    from openclone.robot.model import CONTROL_PERIOD, standing_qpos
-
-    kinematics = Kinematics()
-    qpos = clip.resampled(1.0 / CONTROL_PERIOD).qpos
-    head_xy = kinematics.key_points(standing_qpos())[0][0, :2].copy()
-    return place_head(qpos, kinematics.bodies(qpos[0]), head_xy)
-
-
-def _measure(performance: _Performance, result: SessionResult) -> TrackingReport:
-    """Compare the session with the motion that the operator meant."""
-    from openclone.evaluation.programme import Part
-    from openclone.evaluation.session import session_results
-    from openclone.evaluation.tracking import TrackingReport
-    from openclone.robot.kinematics import Kinematics
-
-    info, reference = performance.info, performance.reference
-    parts = (Part(info.name, info.category, 0, len(reference)),)
-    results = session_results(result, reference, parts, Kinematics())
-    return TrackingReport(results)
 
 
 @contextmanager
@@ -106,6 +30,15 @@ def _view(port: int | None) -> Iterator[TeleopView | None]:
     with TeleopView(port) as page:
         print(f"browser view: {page.url}")
         yield page
+
+
+def _announce(page: TeleopView, performance: Performance) -> None:
+    """Tell the view what the operator means, if that is known."""
+    if performance.reference is None:
+        page.set_title(performance.recording.name)
+        return
+    replay = performance.config.replay
+    page.show_reference(performance.recording, performance.reference, replay)
 
 
 def teleop(
@@ -137,9 +70,6 @@ def teleop(
         view: serve the browser view meanwhile.
         port: of the browser view.
     """
-    from dataclasses import asdict
-
-    from openclone.evaluation.report import COLUMNS, table_row
     from openclone.odometry.noise import OdometryNoiseConfig
     from openclone.policy.bundle import load_bundle
     from openclone.teleop.recorder import save_log
@@ -147,11 +77,10 @@ def teleop(
 
     positive("--seconds", seconds)
     bundle = load_bundle(policy)
-    performance = _load_performance(recording, seconds)
+    performance = load_performance(recording, seconds)
     with _view(port if view else None) as page:
         if page is not None:
-            replay = performance.config.replay
-            page.show_reference(performance.recording, performance.reference, replay)
+            _announce(page, performance)
         result = run_teleop(
             performance.recording,
             bundle,
@@ -162,18 +91,25 @@ def teleop(
             seed=seed,
             config=performance.config,
         )
-    stats = asdict(result.stats)
-    print_figures(stats)
-    report = _measure(performance, result)
-    if report.clips:
-        figures = zip(COLUMNS, table_row(report.overall), strict=True)
-        print_figures(dict(figures))
-        write_figures(json, {**report.to_json(), "operator": operator, "loop": stats})
-    else:
-        write_figures(json, {"operator": operator, "loop": stats})
+    figures = _session_figures(result, measure_session(performance, result))
+    write_figures(json, {"operator": operator, **figures})
     if record is not None:
         save_log(result.log, record)
         print(f"recorded: {record}")
+
+
+def _session_figures(
+    result: SessionResult, report: TrackingReport | None
+) -> dict[str, object]:
+    """Print what a session achieved, and return it for a JSON file."""
+    from openclone.evaluation.report import COLUMNS, table_row
+
+    loop = asdict(result.stats)
+    print_figures(loop)
+    if report is None:
+        return {"loop": loop}
+    print_figures(dict(zip(COLUMNS, table_row(report.overall), strict=True)))
+    return {**report.to_json(), "loop": loop}
 
 
 def demo(
@@ -229,7 +165,7 @@ def view(
             watch_motion(page, qpos, clip.info.name)
         return
     assert recording is not None
-    bundle, performance = load_bundle(policy), _load_performance(recording, None)
+    bundle, performance = load_bundle(policy), load_performance(recording, None)
 
     def session(subscriber: Subscriber, number: int) -> None:
         run_teleop(
@@ -243,5 +179,5 @@ def view(
 
     with TeleopView(port) as page:
         print(f"browser view: {page.url}; Ctrl-C ends")
-        page.show_reference(performance.recording, performance.reference)
+        _announce(page, performance)
         watch_sessions(page, session)
