@@ -22,7 +22,7 @@ LEFT, RIGHT = 0, 1
 _OUTWARD = (1.0, -1.0)
 _SOLE_CENTRE_X = 0.03
 """Metres ahead of the ankle where the weight rests when standing."""
-_QUIET = 0.07
+_QUIET = 0.09
 """Share of the swing, at both ends, in which the foot only rises or only sinks."""
 
 

@@ -29,7 +29,7 @@ _SHARES = {
 }  # fmt: skip
 """How many clips of each category a default set holds, relative to each other."""
 _SHORTEST_S, _LONGEST_S = 4.2, 12.0
-_MEAN_CLIP_S = 8.8
+_MEAN_CLIP_S = 8.0
 
 
 def _start(rng: np.random.Generator, **changes: float | bool) -> Choreography:

@@ -239,7 +239,7 @@ def _solve(plan: Plan) -> np.ndarray:
     _check_legs(qpos, 0.0)
     qpos = _follow_com(plan, com_xy, qpos, 1)
     reference = plan.zmp.copy()
-    for _ in range(3):
+    for _ in range(4):
         error = np.nan_to_num(plan.zmp - zero_moment_point(qpos, plan.fps))
         reference += np.clip(error, -_CORRECTION_LIMIT, _CORRECTION_LIMIT)
         height = centre_of_mass(qpos)[:, 2]
