@@ -121,6 +121,8 @@ def test_malformed_motion(tmp_path: Path, old: str, new: str, message: str) -> N
         ("    root lowerback\n", "", "does not hang on the root"),
         ("name head", "name skull", "unknown bone|no bone 'head'"),
         ("length 0.45", "length 0", "unit length 0"),
+        ("length 0.45", "length 0.045", "a leg is 8.24 m long"),
+        ("axis 0 0 0 XYZ", "axis 0 0 0 XYW", "unknown order of axes 'XYW'"),
     ],
 )
 def test_malformed_skeleton(tmp_path: Path, old: str, new: str, message: str) -> None:
@@ -140,6 +142,11 @@ def test_every_cut_of_either_file_is_an_input_error(tmp_path: Path) -> None:
     for length in range(0, len(asf) - 60, 101):
         with pytest.raises(InputError):
             read(tmp_path, amc, asf[:length])
+
+
+def test_no_frames(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="there are no frames"):
+        read(tmp_path, ":DEGREES\n")
 
 
 def test_skeleton_must_lie_beside(tmp_path: Path) -> None:

@@ -62,6 +62,10 @@ def test_hinges_bend_the_human_way(tmp_path: Path) -> None:
         ('{"Frames": []}', 'no list "Frames" of 2'),
         ('{"Frames": [[1, 2], [3, 4]]}', r"Frames\[0\]: expected 44 finite"),
         (json.dumps({"Frames": [frame(), frame(c7=float("nan"))]}), r"Frames\[1\]"),
+        (
+            json.dumps({"Frames": [frame(), frame(c25=0.3)]}),
+            r"Frames\[1\]: the quaternion of right_shoulder has length 0.3",
+        ),
         (json.dumps({"Frames": [frame(c0=0.0)] * 3}), r"Frames\[0\]: duration 0 s"),
         (json.dumps({"Frames": [frame()] * 2}).replace("0.9", '"x"'), r"Frames\[0\]"),
     ],

@@ -145,7 +145,14 @@ def make_motion(
             remedy="repair the root positions or their unit",
         )
     quats = rotations.make_continuous(rotations.normalize(quats))
-    return without_flips(HumanMotion(name, float(fps), positions, quats))
+    motion = HumanMotion(name, float(fps), positions, quats)
+    if not _LEG_RANGE[0] <= motion.leg_length <= _LEG_RANGE[1]:
+        raise InputError(
+            f"a leg is {motion.leg_length:.3g} m long",
+            where=where,
+            remedy="correct the unit of length or the skeleton",
+        )
+    return without_flips(motion)
 
 
 def without_flips(motion: HumanMotion) -> HumanMotion:

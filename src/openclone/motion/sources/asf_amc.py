@@ -96,6 +96,12 @@ def _read_bone(lines: list[str], first: int, last: int, path: Path) -> _Bone:
                 length = float(_numbers(words[1:], 1, where)[0])
             case ["axis"]:
                 order = words[4].upper() if len(words) > 4 else "XYZ"
+                if sorted(order) != ["X", "Y", "Z"]:
+                    raise InputError(
+                        f"unknown order of axes {order[:20]!r}",
+                        where=where,
+                        remedy="write XYZ or another order of the three",
+                    )
                 bone.axis = _euler(_numbers(words[1:], 3, where), order)
             case ["dof"]:
                 bone.dofs = tuple(word.lower() for word in words[1:])
@@ -199,7 +205,14 @@ def _read_frames(path: Path, widths: dict[str, int]) -> dict[str, np.ndarray]:
             )
         else:
             rows[words[0]].append(_numbers(words[1:], len(words) - 1, where))
-    _check_complete(rows, frames, f"{path}, line {len(lines)}")
+    where = f"{path}, line {len(lines)}"
+    _check_complete(rows, frames, where)
+    if not frames:
+        raise InputError(
+            "there are no frames",
+            where=where,
+            remedy="the file is truncated; copy it again",
+        )
     return {name: np.array(values) for name, values in rows.items()}
 
 

@@ -83,7 +83,18 @@ def _read_frames(path: Path) -> np.ndarray:
                 where=f"{path}, Frames[{index}]",
                 remedy="use the humanoid3d format: duration, root pose, 12 joints",
             )
-    return np.array(frames, dtype=float)
+    values = np.array(frames, dtype=float)
+    for joint, (_, column, width, _) in _SKELETON.items():
+        if width == 4:
+            lengths = np.linalg.norm(values[:, column : column + 4], axis=1)
+            worst = int(np.abs(lengths - 1).argmax())
+            if abs(lengths[worst] - 1) > 0.05:
+                raise InputError(
+                    f"the quaternion of {joint} has length {lengths[worst]:.3g}",
+                    where=f"{path}, Frames[{worst}]",
+                    remedy="write unit quaternions, w first",
+                )
+    return values
 
 
 def read(path: Path) -> HumanMotion:
