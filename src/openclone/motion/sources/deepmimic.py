@@ -88,7 +88,7 @@ def _read_frames(path: Path) -> np.ndarray:
         if width == 4:
             lengths = np.linalg.norm(values[:, column : column + 4], axis=1)
             worst = int(np.abs(lengths - 1).argmax())
-            if abs(lengths[worst] - 1) > 0.05:
+            if abs(lengths[worst] - 1) > 0.5:  # blended by some exporters
                 raise InputError(
                     f"the quaternion of {joint} has length {lengths[worst]:.3g}",
                     where=f"{path}, Frames[{worst}]",
