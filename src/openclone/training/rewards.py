@@ -178,9 +178,9 @@ class RewardWeights:
 
 
 FAST = RewardWeights(
-    vr_position=1.0,
+    vr_position=1.5,
     body_position=1.0,
-    root_position=0.5,
+    root_position=1.0,
     root_rotation=0.5,
     body_rotation=1.0,
     body_velocity=1.0,
