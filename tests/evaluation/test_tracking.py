@@ -134,3 +134,11 @@ def test_standing_report_of_a_robot_that_only_holds_its_pose():
     assert report.seconds == pytest.approx(0.6)
     assert report.steps == 0
     assert report.sway_mm < 10.0
+
+
+@pytest.mark.parametrize(
+    ("names", "message"), [([], "no clips"), (["a", "a"], "twice")]
+)
+def test_clips_must_be_there_and_be_told_apart(names, message):
+    with pytest.raises(InputError, match=message):
+        evaluate_tracking([still_clip(0.1, n) for n in names], FakeBundle(np.zeros(29)))

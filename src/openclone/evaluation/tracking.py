@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from openclone.errors import InputError
 from openclone.evaluation import metrics
 from openclone.evaluation.episode import Episode, make_reference, run_clip
 from openclone.evaluation.metrics import Metrics, Trace
@@ -112,7 +113,18 @@ def evaluate_tracking(
         seed: of the odometry noise. A clip's noise depends on the seed and on the
             clip's name alone, so that subsets of a data set give the same figures.
         progress: called after each clip with its number, the count, name and result.
+
+    Raises:
+        InputError: there is no clip, two have one name, or one is too short.
     """
+    names = [clip.info.name for clip in clips]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if not names or twice:
+        raise InputError(
+            f"clip {twice[0]!r} occurs twice" if twice else "there are no clips",
+            where="evaluate tracking",
+            remedy="give clips with names of their own",
+        )
     model = build_model()
     robot = SimulatedRobot(model)
     results: dict[str, ClipResult] = {}

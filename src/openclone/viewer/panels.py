@@ -118,6 +118,7 @@ class Panel:
             title="distance from target, mm",
             scales={"x": uplot.Scale(time=False)},
             aspect=1.7,
+            visible=False,  # until there is something to plot
         )
         for name, label in (
             ("ghost", "reference (ghost)"),
@@ -150,6 +151,7 @@ class Panel:
         kept = errors[::-1][::step][::-1]
         ago = np.arange(len(kept), dtype=np.float64) - len(kept) + 1
         time_s = ago * (step * CONTROL_PERIOD)
+        self._plot.visible = True
         self._plot.data = (time_s, *kept.T.copy())
 
 
