@@ -29,11 +29,11 @@ def policy_info(bundle: Path | None = None, /) -> None:
 
     path = bundle or packaged_bundle()
     info = load_bundle(path).info
-    print(f"file         {path} ({path.stat().st_size / 1e6:.1f} MB)")
+    print(f"{'file':16} {path} ({path.stat().st_size / 1e6:.1f} MB)")
     for name in ("name", "layout", "history", "observation_size", "control_hz"):
-        print(f"{name:12} {getattr(info, name)}")
-    print(f"{'data_hash':12} {info.data_hash}")
-    print(f"{'training':12} {info.training}")
+        print(f"{name:16} {getattr(info, name)}")
+    print(f"{'data_hash':16} {info.data_hash}")
+    print(f"{'training':16} {info.training}")
 
 
 def version() -> None:

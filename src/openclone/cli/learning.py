@@ -82,9 +82,13 @@ def train_student(
         seed: of all randomness.
         threads: CPU threads; all cores by default.
     """
+    import warnings
+
     from openclone.training import student
     from openclone.training.presets import student_preset
 
+    # torch's ONNX exporter warns about itself at every checkpoint.
+    warnings.filterwarnings("ignore", message=".*treespec, LeafSpec")
     positive("--minutes", minutes)
     settings = student_preset(preset)
     path = student.train_student(
