@@ -28,7 +28,7 @@ def _view(port: int | None) -> Iterator[TeleopView | None]:
     from openclone.viewer.app import TeleopView
 
     with TeleopView(port) as page:
-        print(f"browser view: {page.url}")
+        print(f"browser view: {page.url}", flush=True)
         yield page
 
 
@@ -160,7 +160,7 @@ def view(
     if motion is not None:
         clip = load_clip(motion)
         with TeleopView(port) as page:
-            print(f"browser view: {page.url}; Ctrl-C ends")
+            print(f"browser view: {page.url}; Ctrl-C ends", flush=True)
             qpos = clip.resampled(1.0 / CONTROL_PERIOD).qpos
             watch_motion(page, qpos, clip.info.name)
         return
@@ -178,6 +178,6 @@ def view(
         )
 
     with TeleopView(port) as page:
-        print(f"browser view: {page.url}; Ctrl-C ends")
+        print(f"browser view: {page.url}; Ctrl-C ends", flush=True)
         _announce(page, performance)
         watch_sessions(page, session)
