@@ -12,10 +12,13 @@ Run it with ``make bench`` on an idle machine.
 from __future__ import annotations
 
 import argparse
+import contextlib
+import io
 import json
 import os
 import platform
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import mujoco
@@ -29,7 +32,7 @@ from openclone.training.reference import build_reference
 from openclone.training.task import TaskConfig, TrackingTask
 
 
-def steps_per_second(step: callable, robots: int, seconds: float) -> float:
+def steps_per_second(step: Callable[[], object], robots: int, seconds: float) -> float:
     """Median over five windows of ``robots`` control steps per second."""
     step()
     rates = []
@@ -72,17 +75,19 @@ def openclone_rates(robots: int, seconds: float) -> tuple[float, float]:
 
 def mjlab_rate(robots: int, seconds: float) -> float:
     """Control steps per second of mjlab's flat velocity task on the CPU."""
-    import mjlab.tasks.velocity.config.g1  # noqa: F401  (registers the task)
-    from mjlab.envs import ManagerBasedRlEnv
-    from mjlab.tasks.registry import load_env_cfg
+    # mjlab and Warp describe themselves at length; the first run also compiles.
+    with contextlib.redirect_stdout(io.StringIO()):
+        import mjlab.tasks.velocity.config.g1  # noqa: F401  (registers the task)
+        from mjlab.envs import ManagerBasedRlEnv
+        from mjlab.tasks.registry import load_env_cfg
 
-    config = load_env_cfg("Mjlab-Velocity-Flat-Unitree-G1")
-    config.scene.num_envs = robots
-    env = ManagerBasedRlEnv(config, device="cpu")
-    env.reset()
-    action = torch.zeros(robots, env.action_manager.total_action_dim)
-    rate = steps_per_second(lambda: env.step(action), robots, seconds)
-    env.close()
+        config = load_env_cfg("Mjlab-Velocity-Flat-Unitree-G1")
+        config.scene.num_envs = robots
+        env = ManagerBasedRlEnv(config, device="cpu")
+        env.reset()
+        action = torch.zeros(robots, env.action_manager.total_action_dim)
+        rate = steps_per_second(lambda: env.step(action), robots, seconds)
+        env.close()
     return rate
 
 

@@ -59,7 +59,7 @@ def test_report_is_one_page_that_needs_nothing_else(tracking, tmp_path):
     for row in PAPER_ROWS:
         assert f"{row[2]:.2f}" in page
     data = json.loads((tmp_path / "metrics.json").read_text())
-    assert data["sr"] == 0.5
+    assert data["sr"] == 50.0
 
 
 def test_thinning_out_keeps_the_shape_of_a_block():

@@ -68,8 +68,8 @@ class Metrics:
     seconds: float
 
     def to_json(self) -> dict[str, float | None]:
-        """The fields by name; a value that does not exist becomes null."""
-        values = asdict(self)
+        """The fields by name; ``sr`` in percent, as in Table 1; NaN becomes null."""
+        values = {**asdict(self), "sr": 100.0 * self.sr}
         return {k: float(v) if np.isfinite(v) else None for k, v in values.items()}
 
 

@@ -95,7 +95,8 @@ class StudentPreset:
             limits=TerminationLimits(0.35, 1.2, 0.6, 1.2),
             displaced_share=0.1,
             born_distance=0.6,
-            standing_share=0.15,
+            standing_share=0.1,
+            failure_share=0.85,
         )
     )
     distillation: DistillationConfig = field(default_factory=DistillationConfig)

@@ -12,17 +12,16 @@ from tensordict import TensorDict
 from openclone.motion.clip import Clip, clip_hash
 from openclone.policy.bundle import g1_info
 from openclone.policy.student import GROUP, StudentModel, export_bundle
-from openclone.policy.teacher import TEACHER_SIZE
 from openclone.training.checkpoint import load_checkpoint, save_checkpoint
 from openclone.training.data import load_reference, make_task, select_clips
 from openclone.training.distillation import Dagger, distill
-from openclone.training.ppo import build_ppo, learn, mlp_model
+from openclone.training.ppo import build_ppo, learn
 from openclone.training.presets import StudentPreset
 from openclone.training.progress import Progress
 from openclone.training.reference import ReferenceMotions
 from openclone.training.student_view import StudentView
 from openclone.training.task import StepResult, TaskConfig
-from openclone.training.teacher import load_teacher
+from openclone.training.teacher import load_critic, load_teacher
 
 CHECKPOINT = "student.pt"
 BUNDLE = "student.onnx"
@@ -143,7 +142,7 @@ def train_student(
         if trainer.phase == "dagger":
             trainer.minutes = 0.0
         trainer.phase = "ppo"
-        _tuning_phase(trainer, extra, content)
+        _tuning_phase(trainer, teacher, extra, content)
     return out / BUNDLE
 
 
@@ -174,16 +173,14 @@ def _dagger_phase(
 
 
 def _tuning_phase(
-    trainer: StudentTrainer, minutes: float, content: dict[str, object]
+    trainer: StudentTrainer, teacher: Path, minutes: float, content: dict[str, object]
 ) -> None:
+    """PPO on the student; the critic goes on from the teacher's."""
     preset = trainer.preset
     env = StudentEnvironment(trainer.view(preset.tuning_task))
     trainer.student.freeze_routing()
     example = env.observe()
-    critic_example = TensorDict(
-        {_CRITIC: torch.zeros(env.num_envs, TEACHER_SIZE)}, batch_size=[env.num_envs]
-    )
-    critic = mlp_model(critic_example, _CRITIC, 1, preset.ppo)
+    critic = load_critic(teacher, _CRITIC)
     ppo = build_ppo(example, trainer.student, critic, preset.ppo)
     if "ppo" in content:
         ppo.load(content["ppo"], None, strict=True)  # type: ignore[arg-type]

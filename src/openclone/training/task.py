@@ -272,7 +272,7 @@ class TrackingTask:
 
     def _sample_frames(self, count: int) -> torch.Tensor:
         """Start frames: partly where robots fail, partly uniform, up to 1 s earlier."""
-        rate = (self.failures / (self._visits + 1.0)).clamp(max=0.5) + 0.02
+        rate = (self.failures / (self._visits + 1.0)).clamp(max=0.5) + 0.01
         share = self.config.failure_share
         chance = share * rate / rate.sum() + (1 - share) / len(rate)
         bins = torch.multinomial(

@@ -108,9 +108,18 @@ def train_teacher(
 
 def load_teacher(path: Path) -> MLPModel:
     """The actor of a teacher checkpoint, ready for inference."""
+    return _load(path, "actor_state_dict", GROUP, g1.NUM_JOINTS).eval()
+
+
+def load_critic(path: Path, group: str) -> MLPModel:
+    """The critic of a teacher checkpoint, reading observation ``group``."""
+    return _load(path, "critic_state_dict", group, 1)
+
+
+def _load(path: Path, part: str, group: str, outputs: int) -> MLPModel:
     content = load_checkpoint(path)
     config = replace(PpoConfig(), hidden=tuple(content["hidden"]))
-    example = TensorDict({GROUP: torch.zeros(1, TEACHER_SIZE)}, batch_size=[1])
-    actor = mlp_model(example, GROUP, g1.NUM_JOINTS, config)
-    actor.load_state_dict(content["ppo"]["actor_state_dict"])
-    return actor.eval()
+    example = TensorDict({group: torch.zeros(1, TEACHER_SIZE)}, batch_size=[1])
+    model = mlp_model(example, group, outputs, config)
+    model.load_state_dict(content["ppo"][part])
+    return model
