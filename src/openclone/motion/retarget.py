@@ -17,7 +17,7 @@ from openclone.robot import g1
 from openclone.robot.model import SOLE_CORNERS, build_model
 from openclone.spatial import rotations
 
-VERSION = 6
+VERSION = 7
 """Raise when the output changes: cached clips of older versions are made again."""
 MAX_ANKLE_MM, MAX_WRIST_MM = 15.0, 100.0
 """Mean distances from the targets above which a clip would not be the same motion."""

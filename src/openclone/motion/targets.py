@@ -22,7 +22,7 @@ SHOULDER = np.array([0.004, 0.1468, 0.245])
 TORSO = np.array([-0.004, 0.0, 0.044])
 """Metres; origin of ``torso_link`` in the pelvis frame, waist straight."""
 ANKLE_HEIGHT = -SOLE_Z
-_PITCH_RANGE = (-0.9, 0.5)
+_PITCH_RANGE = (-0.6, 0.5)
 """Radians; a foot in flight points down or up no further."""
 
 
@@ -38,6 +38,8 @@ class RetargetConfig:
         smooth_s: seconds, width of the Gaussian over the targets.
         max_joint_speed: radians per second.
         clearance: metres that links keep from each other.
+        swing_clearance: metres that the sole of a stepping foot rises; the scaled
+            human foot, whose toes bend, would drag the robot's stiff sole.
         solves: IK steps per frame, at most.
         first_solves: IK steps for the first frame.
         converged: radians; smaller steps end a frame early.
@@ -49,6 +51,7 @@ class RetargetConfig:
     smooth_s: float = 0.03
     max_joint_speed: float = 15.0
     clearance: float = 0.005
+    swing_clearance: float = 0.05
     solves: int = 4
     first_solves: int = 120
     converged: float = 0.002
@@ -120,11 +123,37 @@ def _lock(values: np.ndarray, contact: np.ndarray) -> np.ndarray:
     return values + np.stack(shift, 1)
 
 
+_FULL_STRIDE = 0.2
+"""Metres; shorter steps lift the foot in proportion to their length."""
+
+
+def _swing_height(stands: np.ndarray, place: np.ndarray, height: float) -> np.ndarray:
+    """Least height of the sole (T,), metres: an arch over each step.
+
+    Args:
+        stands: (T,), the foot stands.
+        place: (T, 2), metres, where the foot is.
+        height: metres, top of the arch of a full stride.
+    """
+    arch = np.zeros(len(stands))
+    for start, stop in runs(~stands):
+        travel = np.linalg.norm(place[stop - 1] - place[start])
+        phase = (np.arange(start, stop) - start + 1) / (stop - start + 1)
+        top = height * min(1.0, travel / _FULL_STRIDE)
+        arch[start:stop] = top * np.sin(np.pi * phase) ** 2
+    return arch
+
+
 def _foot_targets(
-    motion: HumanMotion, contact: np.ndarray, side: str, scale: float, sigma: float
+    motion: HumanMotion,
+    contact: np.ndarray,
+    side: str,
+    scale: float,
+    config: RetargetConfig,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Pose of ``*_ankle_roll_link``: stance flat, still and on the ground."""
     stands = contact[:, SIDES.index(side)]
+    sigma = config.smooth_s * FPS
     sign = 1.0 if side == "left" else -1.0
     ankle = motion.joint(f"{side}_ankle")
     human_half = 0.5 * motion.bone_length("left_hip", "right_hip")
@@ -142,6 +171,7 @@ def _foot_targets(
     corners = rotations.rotate(quat[:, None], SOLE_CORNERS[None])
     position = pose[:, :3].copy()
     lowest = -corners[..., 2].min(1)
+    lowest += _swing_height(stands, position[:, :2], config.swing_clearance)
     position[:, 2] = np.maximum(position[:, 2] + ANKLE_HEIGHT, lowest)
     return position, quat
 
@@ -158,7 +188,7 @@ def make_targets(motion: HumanMotion, config: RetargetConfig) -> Targets:
     hip[:, 2] = config.crouch * (hip[:, 2] - scale * level) + ANKLE_HEIGHT
     pelvis = hip - rotations.rotate(pelvis_quat, np.array([0.0, 0.0, HIP_HEIGHT]))
     pelvis[:, 2] = _soft_floor(pelvis[:, 2], config.lowest_pelvis)
-    feet = [_foot_targets(motion, contact, side, scale, sigma) for side in SIDES]
+    feet = [_foot_targets(motion, contact, side, scale, config) for side in SIDES]
     pelvis[:, 2] -= _reach_drop(pelvis, pelvis_quat, [foot[0] for foot in feet], config)
     torso = pelvis + rotations.rotate(pelvis_quat, TORSO)
     position = {"pelvis": pelvis}
