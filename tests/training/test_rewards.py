@@ -1,4 +1,4 @@
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import pytest
 import torch
@@ -104,6 +104,12 @@ def test_slippage_counts_loaded_feet_only(perfect):
     perfect.robot.foot_force[:] = 0
     perfect.robot.foot_force[:, 0, 2] = 200.0
     assert float(rewards.slippage(perfect)) == pytest.approx(0.25, abs=1e-4)
+
+
+def test_every_weight_has_a_term(perfect):
+    ones = RewardWeights(**{field.name: 1.0 for field in fields(RewardWeights)})
+    _, terms = total_reward(perfect, ones)
+    assert set(terms) == {field.name for field in fields(RewardWeights)}
 
 
 def test_total_is_the_weighted_sum(perfect):

@@ -25,6 +25,7 @@ class PpoConfig:
         steps: control steps per robot and iteration.
         epochs, minibatches: passes over the data, pieces per pass.
         learning_rate: initial; adapted to keep the KL divergence near ``kl``.
+        slowest, fastest: learning rates at which an update may start.
         kl: target divergence per update.
         discount, trace: γ and λ.
         entropy: weight of the entropy bonus.
@@ -36,6 +37,8 @@ class PpoConfig:
     epochs: int = 4
     minibatches: int = 2
     learning_rate: float = 3e-4
+    slowest: float = 1e-4
+    fastest: float = 1e-3
     kl: float = 0.05
     discount: float = 0.99
     trace: float = 0.95
@@ -143,7 +146,8 @@ def learn(
                 note_step(progress, result)
             ppo.compute_returns(observations)
         losses = ppo.update()
-        ppo.learning_rate = min(max(ppo.learning_rate, 1e-4), 1e-3)
+        rate = min(max(ppo.learning_rate, config.slowest), config.fastest)
+        ppo.learning_rate = rate
         progress.add(
             **{f"loss/{name}": value for name, value in losses.items()},
             lr=ppo.learning_rate,

@@ -29,12 +29,14 @@ class TeacherPreset:
         task, ppo: see there.
     """
 
-    minutes: float = 40.0
+    minutes: float = 60.0
     categories: tuple[str, ...] | None = LOCOMOTION
     mirror: bool = True
     still_seconds: float = 2.0
     task: TaskConfig = field(default_factory=TaskConfig)
-    ppo: PpoConfig = field(default_factory=PpoConfig)
+    ppo: PpoConfig = field(
+        default_factory=lambda: PpoConfig(minibatches=4, entropy=0.0)
+    )
 
 
 @dataclass(frozen=True)

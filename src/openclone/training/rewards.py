@@ -7,7 +7,7 @@ weights were trained with (see ``docs/differences.md``).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import torch
 
@@ -196,7 +196,23 @@ FAST = RewardWeights(
 )
 """What the shipped teacher was trained with."""
 
-_FUNCTIONS = {field.name: globals()[field.name] for field in fields(RewardWeights)}
+_TERMS = (
+    vr_position,
+    body_position,
+    root_position,
+    root_rotation,
+    body_rotation,
+    body_velocity,
+    body_angular_velocity,
+    hand_rotation,
+    lower_action_rate,
+    upper_action_rate,
+    dof_acceleration,
+    dof_position_limits,
+    torque,
+    slippage,
+    feet_still,
+)
 
 
 def total_reward(
@@ -204,8 +220,8 @@ def total_reward(
 ) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
     """Weighted sum ``(n,)`` per second, and each weighted term for the log."""
     terms = {
-        name: weight * _FUNCTIONS[name](state)
-        for name in _FUNCTIONS
-        if (weight := getattr(weights, name)) != 0.0
+        term.__name__: weight * term(state)
+        for term in _TERMS
+        if (weight := getattr(weights, term.__name__)) != 0.0
     }
     return torch.stack(tuple(terms.values())).sum(0), terms
