@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -20,7 +21,7 @@ from openclone.robot.kinematics import Kinematics
 from openclone.robot.model import CONTROL_PERIOD
 from openclone.simulation.robot import RobotReading
 from openclone.spatial import rotations
-from openclone.spatial.clock import Clock, Ticker, Wake
+from openclone.spatial.clock import Clock, MonotonicClock, Ticker, Wake
 from openclone.teleop.calibration import CalibrationConfig, RobotBody, calibrate
 from openclone.teleop.messages import (
     LoopTick,
@@ -30,7 +31,11 @@ from openclone.teleop.messages import (
     TickDurations,
 )
 from openclone.teleop.operators.protocol import Operator
-from openclone.teleop.realtime import collect_garbage, interpreter_for_control
+from openclone.teleop.realtime import (
+    collect_garbage,
+    interpreter_for_control,
+    realtime_priority,
+)
 from openclone.teleop.robots.protocol import RobotLink
 from openclone.teleop.safety import (
     SafetyConfig,
@@ -162,7 +167,10 @@ class TeleopLoop:
         ticker = Ticker(self._clock, PERIOD_NS)
         if self.config.auto_start:
             self.monitor.request_start()
-        with interpreter_for_control():
+        # Only a loop that waits may go before everything else.
+        live = isinstance(self._clock, MonotonicClock)
+        priority = realtime_priority() if live else nullcontext()
+        with interpreter_for_control(), priority:
             self._operator.start(self._clock)
             try:
                 while limit is None or len(self._durations_ns) < limit:

@@ -3,12 +3,43 @@
 from __future__ import annotations
 
 import gc
+import os
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 _SWITCH_INTERVAL_S = 0.0005
 _OLDER_EVERY = 50
+_PRIORITY = 10
+"""Of SCHED_FIFO: above every ordinary thread, below the kernel's own (50)."""
+
+
+@contextmanager
+def realtime_priority() -> Iterator[bool]:
+    """Let the calling thread run before all ordinary ones, where the system allows it.
+
+    Linux allows it to root and to users with an ``rtprio`` limit. Elsewhere nothing
+    changes. Threads started meanwhile do not inherit the priority.
+
+    Yields:
+        Whether the priority was granted.
+    """
+    if not hasattr(os, "sched_setscheduler"):
+        yield False
+        return
+    policy, parameter = os.sched_getscheduler(0), os.sched_getparam(0)
+    fifo = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
+    try:
+        os.sched_setscheduler(0, fifo, os.sched_param(_PRIORITY))
+    except OSError:
+        yield False
+        return
+    try:
+        yield True
+    finally:
+        # Without privileges the reset flag cannot be taken back; nothing hangs on it.
+        with suppress(OSError):
+            os.sched_setscheduler(0, policy, parameter)
 
 
 @contextmanager
