@@ -2,7 +2,7 @@ import numpy as np
 import torch
 
 from openclone.robot import g1
-from openclone.training.rewards import RewardWeights
+from openclone.training.reward_table import RewardWeights
 from openclone.training.task import TerminationLimits
 
 CALM = {"push_speed": 0.0, "displaced_share": 0.0, "failure_share": 0.0}

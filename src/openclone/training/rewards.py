@@ -1,22 +1,29 @@
-"""Rewards of Table A1, each a pure function of a `TrackingState`, and their weights.
+"""Rewards, each a pure function of a `TrackingState`: Table A1, then our own terms.
 
-Exponential terms use ``exp(-mean squared error / σ²)``. The printed coefficients of
-Table A1 suit Isaac Gym's joint and body conventions; `FAST` holds what the shipped
-weights were trained with (see ``docs/differences.md``).
+Closeness terms are ``exp(-mean squared error / width)``. A row that the paper prints as
+``exp(-c ‖error‖²)`` takes its width from the weight table (`reward_table`), where the
+two readings of c are explained. ``[condition]₁`` in Table A1 counts how often the
+condition holds, joint by joint or foot by foot.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 
+from openclone.policy.observation import gravity_b
 from openclone.robot import g1
 from openclone.robot.state import RobotState, key_point_poses
 from openclone.spatial import rotations
 
 _FEET = list(g1.FEET)
 _WRISTS = list(g1.WRISTS)
+_CONTACT_N = 1.0
+_AIR_SECONDS = 0.3
+_SATURATED = 0.999
+"""MuJoCo clips torques at the limit, so a motor at its limit reads just that."""
 
 
 @dataclass(frozen=True)
@@ -27,6 +34,9 @@ class TrackingState:
         robot, reference: states after the step; reference in the same world frame.
         action, previous_action: (n, 29), in units of action.
         previous_velocities: (n, 29), joint velocities before the step, rad/s.
+        terminated: (n,) bool, the step ended the episode by failure.
+        air_time: (n, 2), seconds each foot had been off the ground before the step.
+        style: (n,), AMP reward -log(1 - D) of the step; 0 without AMP.
         period: seconds per control step.
     """
 
@@ -35,26 +45,196 @@ class TrackingState:
     action: torch.Tensor
     previous_action: torch.Tensor
     previous_velocities: torch.Tensor
+    terminated: torch.Tensor
+    air_time: torch.Tensor
+    style: torch.Tensor
     period: float
 
 
-def _closeness(squared_error: torch.Tensor, sigma: float) -> torch.Tensor:
-    return torch.exp(-squared_error / sigma**2)
+def _closeness(squared_error: torch.Tensor, width: float) -> torch.Tensor:
+    return torch.exp(-squared_error / width)
 
 
 def _squared(difference: torch.Tensor) -> torch.Tensor:
     return (difference * difference).sum(-1)
 
 
-def vr_position(s: TrackingState) -> torch.Tensor:
-    """Body position (VR): head and hands against the command, world. σ 0.25 m."""
+def _table(values: np.ndarray, like: torch.Tensor) -> torch.Tensor:
+    return torch.as_tensor(values, dtype=like.dtype, device=like.device)
+
+
+def _tilt(quat: torch.Tensor) -> torch.Tensor:
+    """Sine of the angle between a body's z axis and the vertical, (...)."""
+    return gravity_b(quat)[..., :2].norm(dim=-1)
+
+
+# Table A1: penalties ----------------------------------------------------------------
+
+
+def torque(s: TrackingState) -> torch.Tensor:
+    """Torque: ‖τ‖², (N m)²."""
+    return _squared(s.robot.torque)
+
+
+def torque_limits(s: TrackingState) -> torch.Tensor:
+    """Torque limits: how many motors are at their limit."""
+    limit = _SATURATED * _table(g1.MAX_TORQUE, s.robot.torque)
+    return (s.robot.torque.abs() >= limit).float().sum(-1)
+
+
+def dof_position_limits(s: TrackingState) -> torch.Tensor:
+    """DoF position limits: how many joints are beyond their range."""
+    angles = s.robot.joint_angles
+    below = angles < _table(g1.JOINT_LOWER, angles)
+    above = angles > _table(g1.JOINT_UPPER, angles)
+    return (below | above).float().sum(-1)
+
+
+def dof_velocity_limits(s: TrackingState) -> torch.Tensor:
+    """DoF velocity limits: how many joints turn faster than their motor may."""
+    speed = s.robot.joint_velocities.abs()
+    return (speed > _table(g1.MAX_SPEED, speed)).float().sum(-1)
+
+
+def termination(s: TrackingState) -> torch.Tensor:
+    """Termination: 1 where the step ended the episode by failure."""
+    return s.terminated.float()
+
+
+def dof_acceleration(s: TrackingState) -> torch.Tensor:
+    """DoF acceleration: ‖q̈‖², (rad/s²)²."""
+    change = s.robot.joint_velocities - s.previous_velocities
+    return _squared(change / s.period)
+
+
+def dof_velocity(s: TrackingState) -> torch.Tensor:
+    """DoF velocity (penalty): ‖q̇‖², (rad/s)²."""
+    return _squared(s.robot.joint_velocities)
+
+
+def lower_action_rate(s: TrackingState) -> torch.Tensor:
+    """Lower-body action rate: ‖a_t - a_(t-1)‖² over the legs."""
+    legs = g1.LOWER_BODY
+    return _squared(s.action[:, legs] - s.previous_action[:, legs])
+
+
+def upper_action_rate(s: TrackingState) -> torch.Tensor:
+    """Upper-body action rate: ‖a_t - a_(t-1)‖² over waist and arms."""
+    start = g1.LOWER_BODY.stop
+    return _squared(s.action[:, start:] - s.previous_action[:, start:])
+
+
+# Table A1: feet and balance ----------------------------------------------------------
+
+
+def _loaded(s: TrackingState) -> torch.Tensor:
+    """(n, 2) bool: the foot presses on the ground."""
+    return s.robot.foot_force.norm(dim=-1) >= _CONTACT_N
+
+
+def feet_air_time(s: TrackingState) -> torch.Tensor:
+    """Feet air time: T_air - 0.3 s, summed over the feet that land in this step."""
+    landed = _loaded(s) & (s.air_time > 0)
+    return ((s.air_time - _AIR_SECONDS) * landed).sum(-1)
+
+
+def stumble(s: TrackingState) -> torch.Tensor:
+    """Stumble: feet pushed sideways more than five times harder than upwards."""
+    sideways = s.robot.foot_force[..., :2].norm(dim=-1)
+    upwards = s.robot.foot_force[..., 2].abs()
+    return (sideways > 5 * upwards).float().sum(-1)
+
+
+def slippage(s: TrackingState) -> torch.Tensor:
+    """Slippage: squared horizontal speed of the feet that carry load, (m/s)²."""
+    velocity = s.robot.body_velocity[:, _FEET, :2]
+    return (_squared(velocity) * _loaded(s)).sum(-1)
+
+
+def feet_orientation(s: TrackingState) -> torch.Tensor:
+    """Feet orientation: sine of each sole's tilt, summed."""
+    return _tilt(s.robot.body_quat[:, _FEET]).sum(-1)
+
+
+def in_the_air(s: TrackingState) -> torch.Tensor:
+    """In the air: 1 where neither foot is loaded."""
+    return (~_loaded(s)).all(-1).float()
+
+
+def orientation(s: TrackingState) -> torch.Tensor:
+    """Orientation: sine of the root's tilt."""
+    return _tilt(s.robot.body_quat[:, g1.ROOT])
+
+
+# Table A1: tracking ------------------------------------------------------------------
+
+
+def dof_position_tracking(s: TrackingState, width: float) -> torch.Tensor:
+    """DoF position: joint angles against the reference; width in rad²."""
+    difference = s.robot.joint_angles - s.reference.joint_angles
+    return _closeness((difference * difference).mean(-1), width)
+
+
+def dof_velocity_tracking(s: TrackingState, width: float) -> torch.Tensor:
+    """DoF velocity: joint velocities against the reference; width in (rad/s)²."""
+    difference = s.robot.joint_velocities - s.reference.joint_velocities
+    return _closeness((difference * difference).mean(-1), width)
+
+
+def extend_body_position(s: TrackingState, width: float) -> torch.Tensor:
+    """Extend body position: key bodies, head and hands in the world; width in m²."""
+    body = _squared(s.robot.body_position - s.reference.body_position)
+    return _closeness(torch.cat((body, _point_errors(s)), -1).mean(-1), width)
+
+
+def vr_position(s: TrackingState, width: float) -> torch.Tensor:
+    """Body position (VR): head and hands against the command, world; width in m²."""
+    return _closeness(_point_errors(s).mean(-1), width)
+
+
+def _point_errors(s: TrackingState) -> torch.Tensor:
+    """Squared errors of head and hands, ``(n, 3)``, m²."""
     points, _ = key_point_poses(s.robot.body_position, s.robot.body_quat)
     wanted, _ = key_point_poses(s.reference.body_position, s.reference.body_quat)
-    return _closeness(_squared(points - wanted).mean(-1), 0.25)
+    return _squared(points - wanted)
 
 
-def body_position(s: TrackingState) -> torch.Tensor:
-    """Extend body position: key bodies relative to the torso's heading. σ 0.25 m."""
+def body_rotation(s: TrackingState, width: float) -> torch.Tensor:
+    """Body rotation of all key bodies; width in rad²."""
+    angle = rotations.angle_between(s.robot.body_quat, s.reference.body_quat)
+    return _closeness((angle**2).mean(-1), width)
+
+
+def body_velocity(s: TrackingState, width: float) -> torch.Tensor:
+    """Body velocity of all key bodies; width in (m/s)²."""
+    error = _squared(s.robot.body_velocity - s.reference.body_velocity)
+    return _closeness(error.mean(-1), width)
+
+
+def body_angular_velocity(s: TrackingState, width: float) -> torch.Tensor:
+    """Body angular velocity of all key bodies; width in (rad/s)²."""
+    difference = s.robot.body_angular_velocity - s.reference.body_angular_velocity
+    return _closeness(_squared(difference).mean(-1), width)
+
+
+def body_hand_rotation(s: TrackingState) -> torch.Tensor:
+    """Body hand rotation: squared angle of each hand's error, mean, rad²."""
+    angle = rotations.angle_between(
+        s.robot.body_quat[:, _WRISTS], s.reference.body_quat[:, _WRISTS]
+    )
+    return (angle**2).mean(-1)
+
+
+def amp(s: TrackingState) -> torch.Tensor:
+    """AMP: -log(1 - D) of the lower body's transition (section 3.3)."""
+    return s.style
+
+
+# Our own terms -----------------------------------------------------------------------
+
+
+def body_position(s: TrackingState, width: float) -> torch.Tensor:
+    """Key bodies relative to the torso's place and heading; width in m²."""
     torso = g1.TORSO
     robot, wanted = s.robot, s.reference
     turn = rotations.heading(
@@ -67,84 +247,36 @@ def body_position(s: TrackingState) -> torch.Tensor:
     anchor[:, 2] = wanted.body_position[:, torso, 2]
     arm = wanted.body_position - wanted.body_position[:, torso : torso + 1]
     target = anchor[:, None] + rotations.rotate(turn[:, None], arm)
-    return _closeness(_squared(robot.body_position - target).mean(-1), 0.25)
+    return _closeness(_squared(robot.body_position - target).mean(-1), width)
 
 
-def root_position(s: TrackingState) -> torch.Tensor:
-    """Torso position in the world; closes the loop. σ 0.3 m."""
+def root_position(s: TrackingState, width: float) -> torch.Tensor:
+    """Torso position in the world; closes the loop; width in m²."""
     error = s.robot.body_position[:, g1.TORSO] - s.reference.body_position[:, g1.TORSO]
-    return _closeness(_squared(error), 0.3)
+    return _closeness(_squared(error), width)
 
 
-def root_rotation(s: TrackingState) -> torch.Tensor:
-    """Torso orientation in the world. σ 0.4 rad."""
+def root_rotation(s: TrackingState, width: float) -> torch.Tensor:
+    """Torso orientation in the world; width in rad²."""
     angle = rotations.angle_between(
         s.robot.body_quat[:, g1.TORSO], s.reference.body_quat[:, g1.TORSO]
     )
-    return _closeness(angle**2, 0.4)
-
-
-def body_rotation(s: TrackingState) -> torch.Tensor:
-    """Body rotation of all key bodies. σ 0.4 rad."""
-    angle = rotations.angle_between(s.robot.body_quat, s.reference.body_quat)
-    return _closeness((angle**2).mean(-1), 0.4)
-
-
-def body_velocity(s: TrackingState) -> torch.Tensor:
-    """Body velocity of all key bodies. σ 1 m/s."""
-    error = _squared(s.robot.body_velocity - s.reference.body_velocity)
-    return _closeness(error.mean(-1), 1.0)
-
-
-def body_angular_velocity(s: TrackingState) -> torch.Tensor:
-    """Body angular velocity of all key bodies. σ π rad/s."""
-    difference = s.robot.body_angular_velocity - s.reference.body_angular_velocity
-    return _closeness(_squared(difference).mean(-1), 3.14)
+    return _closeness(angle**2, width)
 
 
 def hand_rotation(s: TrackingState) -> torch.Tensor:
-    """Body hand rotation: 1 - <q̂, q>², the error the paper reports; negative weight."""
+    """1 - <q̂, q>² of the hands, the error the paper reports; negative weight."""
     product = s.robot.body_quat[:, _WRISTS] * s.reference.body_quat[:, _WRISTS]
     return (1.0 - product.sum(-1) ** 2).mean(-1)
 
 
-def lower_action_rate(s: TrackingState) -> torch.Tensor:
-    """Lower-body action rate, squared."""
-    legs = g1.LOWER_BODY
-    return _squared(s.action[:, legs] - s.previous_action[:, legs])
-
-
-def upper_action_rate(s: TrackingState) -> torch.Tensor:
-    """Upper-body action rate, squared."""
-    start = g1.LOWER_BODY.stop
-    return _squared(s.action[:, start:] - s.previous_action[:, start:])
-
-
-def dof_acceleration(s: TrackingState) -> torch.Tensor:
-    """DoF acceleration, squared, (rad/s²)²."""
-    change = s.robot.joint_velocities - s.previous_velocities
-    return _squared(change / s.period)
-
-
-def dof_position_limits(s: TrackingState) -> torch.Tensor:
+def dof_margin(s: TrackingState) -> torch.Tensor:
     """Radians by which joints leave the inner 95 % of their range."""
     margin = 0.025 * (g1.JOINT_UPPER - g1.JOINT_LOWER)
     angles = s.robot.joint_angles
-    low = torch.as_tensor(g1.JOINT_LOWER + margin, dtype=angles.dtype)
-    high = torch.as_tensor(g1.JOINT_UPPER - margin, dtype=angles.dtype)
+    low = _table(g1.JOINT_LOWER + margin, angles)
+    high = _table(g1.JOINT_UPPER - margin, angles)
     return (low - angles).clamp(min=0).sum(-1) + (angles - high).clamp(min=0).sum(-1)
-
-
-def torque(s: TrackingState) -> torch.Tensor:
-    """Torque, squared, (N m)²."""
-    return _squared(s.robot.torque)
-
-
-def slippage(s: TrackingState) -> torch.Tensor:
-    """Slippage: squared speed of a foot that carries load."""
-    loaded = s.robot.foot_force.norm(dim=-1) >= 1.0
-    velocity = s.robot.body_velocity[:, _FEET, :2]
-    return (_squared(velocity) * loaded).sum(-1)
 
 
 def feet_still(s: TrackingState) -> torch.Tensor:
@@ -152,76 +284,5 @@ def feet_still(s: TrackingState) -> torch.Tensor:
     wanted = s.reference.body_velocity
     rest = torch.exp(-_squared(wanted).mean(-1) / 0.1**2)
     speed = _squared(s.robot.body_velocity[:, _FEET]).clamp(max=1.0).sum(-1)
-    lifted = (s.robot.foot_force[..., 2] < 1.0).float().sum(-1)
+    lifted = (s.robot.foot_force[..., 2] < _CONTACT_N).float().sum(-1)
     return rest * (speed + 0.5 * lifted)
-
-
-@dataclass(frozen=True)
-class RewardWeights:
-    """One weight per reward function of this file, per second of tracking."""
-
-    vr_position: float = 0.0
-    body_position: float = 0.0
-    root_position: float = 0.0
-    root_rotation: float = 0.0
-    body_rotation: float = 0.0
-    body_velocity: float = 0.0
-    body_angular_velocity: float = 0.0
-    hand_rotation: float = 0.0
-    lower_action_rate: float = 0.0
-    upper_action_rate: float = 0.0
-    dof_acceleration: float = 0.0
-    dof_position_limits: float = 0.0
-    torque: float = 0.0
-    slippage: float = 0.0
-    feet_still: float = 0.0
-
-
-FAST = RewardWeights(
-    vr_position=1.5,
-    body_position=1.0,
-    root_position=1.0,
-    root_rotation=0.5,
-    body_rotation=1.0,
-    body_velocity=1.0,
-    body_angular_velocity=1.0,
-    hand_rotation=-0.5,
-    lower_action_rate=-0.05,
-    upper_action_rate=-0.05,
-    dof_acceleration=-1e-7,
-    dof_position_limits=-10.0,
-    torque=-1e-6,
-    slippage=-0.1,
-    feet_still=-0.5,
-)
-"""What the shipped teacher was trained with."""
-
-_TERMS = (
-    vr_position,
-    body_position,
-    root_position,
-    root_rotation,
-    body_rotation,
-    body_velocity,
-    body_angular_velocity,
-    hand_rotation,
-    lower_action_rate,
-    upper_action_rate,
-    dof_acceleration,
-    dof_position_limits,
-    torque,
-    slippage,
-    feet_still,
-)
-
-
-def total_reward(
-    state: TrackingState, weights: RewardWeights
-) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
-    """Weighted sum ``(n,)`` per second, and each weighted term for the log."""
-    terms = {
-        term.__name__: weight * term(state)
-        for term in _TERMS
-        if (weight := getattr(weights, term.__name__)) != 0.0
-    }
-    return torch.stack(tuple(terms.values())).sum(0), terms
