@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import mujoco
@@ -59,6 +60,7 @@ class SimulatedRobot:
         self.data = mujoco.MjData(self.model)
         self._layout = SensorLayout.of(self.model)
         self._damping = False
+        self._watchers: list[Callable[[], None]] = []
         self.reset(standing_qpos())
 
     def reset(self, qpos: np.ndarray, qvel: np.ndarray | None = None) -> None:
@@ -82,15 +84,23 @@ class SimulatedRobot:
 
     def advance(self) -> None:
         """Simulate one control period of 20 ms and refresh all sensors."""
-        if self._damping:
-            for _ in range(SUBSTEPS):
+        for _ in range(SUBSTEPS):
+            if self._damping:
                 # A target equal to the joint angle leaves only the velocity term.
                 self.data.ctrl[:] = self.data.qpos[7:]
-                mujoco.mj_step(self.model, self.data)
-        else:
-            mujoco.mj_step(self.model, self.data, SUBSTEPS)
+            mujoco.mj_step(self.model, self.data)
+            for watcher in self._watchers:
+                watcher()
         # mj_step computes sensors before it integrates; this makes them current.
         mujoco.mj_forward(self.model, self.data)
+
+    def watch(self, watcher: Callable[[], None]) -> None:
+        """Call ``watcher`` after every physics step of 5 ms from now on.
+
+        It finds the new positions and velocities in `data`; forces and other sensors
+        there are those of the beginning of the step.
+        """
+        self._watchers.append(watcher)
 
     def reading(self) -> RobotReading:
         """What the robot's own sensors report now."""
