@@ -2,6 +2,7 @@ import copy
 
 import mujoco
 import numpy as np
+import torch
 
 from openclone.robot import g1
 from openclone.robot.model import SUBSTEPS, standing_qpos
@@ -15,7 +16,7 @@ def test_steps_like_mujoco(model):
     qvel = np.zeros((2, model.nv))
     qvel[1, 0] = 0.2
     physics.reset(np.arange(2), qpos, qvel)
-    ctrl = np.tile(g1.DEFAULT_POSE, (2, SUBSTEPS, 1))
+    ctrl = torch.from_numpy(np.tile(g1.DEFAULT_POSE, (2, SUBSTEPS, 1)))
     for _ in range(10):
         physics.step(ctrl)
     data = mujoco.MjData(model)
@@ -50,7 +51,7 @@ def test_each_robot_may_have_its_own_model(model):
     physics = ThreadedPhysics(model, 2, threads=1, models=[model, heavy])
     qpos = np.tile(standing_qpos(), (2, 1))
     physics.reset(np.arange(2), qpos, np.zeros((2, model.nv)))
-    physics.step(np.tile(g1.DEFAULT_POSE, (2, SUBSTEPS, 1)))
+    physics.step(torch.from_numpy(np.tile(g1.DEFAULT_POSE, (2, SUBSTEPS, 1))))
     assert physics.qpos[0, 2] - physics.qpos[1, 2] > 1e-5
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from openclone.errors import InputError
 from openclone.motion.clip import Clip
 from openclone.motion.edit import mirror, pad_still
@@ -9,6 +11,7 @@ from openclone.robot.model import SensorLayout, build_model
 from openclone.training.physics import ThreadedPhysics
 from openclone.training.reference import ReferenceMotions, build_reference
 from openclone.training.task import TaskConfig, TrackingTask
+from openclone.training.terrain import build_terrain, build_training_model
 
 _MIN_SECONDS = 0.6
 
@@ -49,6 +52,9 @@ def make_task(
     reference: ReferenceMotions, config: TaskConfig, seed: int, threads: int | None
 ) -> TrackingTask:
     """A tracking task on the CPU backend, stepped by ``threads`` (default: all)."""
-    model = build_model()
+    rng = np.random.default_rng([seed, 4])
+    terrain = build_terrain(config.randomization.terrain, rng)
+    model = build_training_model(terrain)
     physics = ThreadedPhysics(model, config.num_envs, threads)
-    return TrackingTask(reference, physics, SensorLayout.of(model), config, seed)
+    layout = SensorLayout.of(model)
+    return TrackingTask(reference, physics, layout, config, seed, terrain)

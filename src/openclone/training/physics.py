@@ -6,12 +6,75 @@ generalized positions, velocities and the sensor vector declared in `robot.model
 
 from __future__ import annotations
 
+import copy
 import os
+from dataclasses import dataclass
 from typing import Protocol
 
 import mujoco
 import numpy as np
+import torch
 from mujoco import rollout
+
+from openclone.robot import g1
+
+BASE = g1.KEY_BODIES[g1.ROOT]
+"""Body whose centre of mass is moved (Table A2, base CoM offset)."""
+
+
+@dataclass(frozen=True)
+class RobotParameters:
+    """What distinguishes n robots physically (Table A2); L links, 29 joints.
+
+    Attributes:
+        friction: (n,), sliding friction of the feet on the ground.
+        com_offset: (n, 3), metres, shift of the base's centre of mass, base frame.
+        link_mass: (n, L), factors on mass and inertia of each link.
+        p_gain, d_gain: (n, 29), factors on the motors' gains.
+    """
+
+    friction: np.ndarray
+    com_offset: np.ndarray
+    link_mass: np.ndarray
+    p_gain: np.ndarray
+    d_gain: np.ndarray
+
+
+def apply_parameters(
+    model: mujoco.MjModel,
+    nominal: mujoco.MjModel,
+    scratch: mujoco.MjData,
+    parameters: RobotParameters,
+    row: int,
+) -> None:
+    """Make ``model`` the robot ``row`` of ``parameters``.
+
+    Args:
+        model: changed; a copy of ``nominal``.
+        nominal: the unchanged robot, which all factors refer to.
+        scratch: work space of the same sizes.
+        parameters: of n robots.
+        row: which of them.
+    """
+    feet = foot_geoms(nominal)
+    model.geom_friction[feet, 0] = parameters.friction[row]
+    model.body_ipos[:] = nominal.body_ipos
+    model.body_ipos[nominal.body(BASE).id] += parameters.com_offset[row]
+    factor = parameters.link_mass[row]
+    model.body_mass[1:] = nominal.body_mass[1:] * factor
+    model.body_inertia[1:] = nominal.body_inertia[1:] * factor[:, None]
+    model.actuator_gainprm[:, 0] = nominal.actuator_gainprm[:, 0]
+    model.actuator_gainprm[:, 0] *= parameters.p_gain[row]
+    model.actuator_biasprm[:, 1] = -model.actuator_gainprm[:, 0]
+    model.actuator_biasprm[:, 2] = nominal.actuator_biasprm[:, 2]
+    model.actuator_biasprm[:, 2] *= parameters.d_gain[row]
+    # Inverse weights and subtree masses, which the solver scales constraints with.
+    mujoco.mj_setConst(model, scratch)
+
+
+def foot_geoms(model: mujoco.MjModel) -> list[int]:
+    """Geoms that carry the robot; their friction counts, as they have priority."""
+    return [index for index in range(model.ngeom) if "_foot" in model.geom(index).name]
 
 
 class Physics(Protocol):
@@ -19,25 +82,41 @@ class Physics(Protocol):
 
     Attributes:
         num_envs: number of robots n.
-        qpos, qvel, sensordata: (n, 36), (n, 35), (n, s), current.
+        links: bodies of each robot, L.
+        device: where the state lives and controls are wanted.
     """
 
     num_envs: int
-    qpos: np.ndarray
-    qvel: np.ndarray
-    sensordata: np.ndarray
+    links: int
+    device: torch.device
 
     def reset(self, ids: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> None:
-        """Put the robots ``ids`` into the given states."""
+        """Put the robots ``ids`` into the given states and refresh their sensors."""
         ...
 
-    def step(self, ctrl: np.ndarray) -> None:
+    def push(self, ids: np.ndarray, velocity: np.ndarray) -> None:
+        """Add ``velocity (len(ids), 3)``, m/s, world, to the roots (Table A2)."""
+        ...
+
+    def randomize(self, ids: np.ndarray, parameters: RobotParameters) -> None:
+        """Give the robots ``ids`` the parameters in rows 0 to len(ids) - 1."""
+        ...
+
+    def step(self, ctrl: torch.Tensor) -> None:
         """Advance all robots by ``ctrl (n, substeps, nu)``, joint targets."""
+        ...
+
+    def read(self) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Copies of qpos, qvel, sensordata: (n, 36), (n, 35), (n, s), float32."""
         ...
 
 
 class ThreadedPhysics:
-    """`mujoco.rollout`: MuJoCo's C++ threads, one `MjModel` per robot if wanted."""
+    """`mujoco.rollout`: MuJoCo's C++ threads, one `MjModel` per robot if wanted.
+
+    Attributes:
+        qpos, qvel, sensordata: (n, 36), (n, 35), (n, s), current, float64.
+    """
 
     def __init__(
         self,
@@ -56,7 +135,10 @@ class ThreadedPhysics:
         """
         threads = threads or os.cpu_count() or 1
         self.num_envs = num_envs
-        self._models = models or [model] * num_envs
+        self.links = model.nbody - 1
+        self.device = torch.device("cpu")
+        self._nominal = model
+        self._models = list(models) if models else [model] * num_envs
         self._datas = [mujoco.MjData(model) for _ in range(threads)]
         self._pool = rollout.Rollout(nthread=threads)
         self._forward = mujoco.MjData(model)
@@ -85,9 +167,20 @@ class ThreadedPhysics:
         """Add ``velocity (len(ids), 3)``, m/s, world, to the roots (Table A2)."""
         self.qvel[ids, :3] += velocity
 
-    def step(self, ctrl: np.ndarray) -> None:
+    def randomize(self, ids: np.ndarray, parameters: RobotParameters) -> None:
+        """Give the robots ``ids`` the parameters in rows 0 to len(ids) - 1."""
+        for row, robot in enumerate(ids):
+            if self._models[robot] is self._nominal:
+                self._models[robot] = copy.copy(self._nominal)
+            apply_parameters(
+                self._models[robot], self._nominal, self._forward, parameters, row
+            )
+
+    def step(self, ctrl: torch.Tensor) -> None:
         """Advance all robots by ``ctrl (n, substeps, nu)``, joint targets."""
         substeps = ctrl.shape[1]
+        if ctrl.shape != (self.num_envs, substeps, self._nominal.nu):
+            raise ValueError(f"controls for {self.num_envs} robots, not {ctrl.shape}")
         if substeps not in self._buffers:
             shape = (self.num_envs, substeps)
             self._buffers[substeps] = (
@@ -95,13 +188,24 @@ class ThreadedPhysics:
                 np.empty((*shape, self.sensordata.shape[1])),
             )
         states, sensors = self._buffers[substeps]
+        # The wrapper's own checks would take as long as the rewards do.
         self._pool.rollout(
             self._models,
             self._datas,
             self._state,
-            ctrl,
+            np.ascontiguousarray(ctrl, dtype=np.float64),
+            skip_checks=True,
+            nstep=substeps,
             state=states,
             sensordata=sensors,
         )
         self._state[:] = states[:, -1]
         self.sensordata[:] = sensors[:, -1]
+
+    def read(self) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Copies of qpos, qvel, sensordata: (n, 36), (n, 35), (n, s), float32."""
+        return (
+            torch.from_numpy(self.qpos.astype(np.float32)),
+            torch.from_numpy(self.qvel.astype(np.float32)),
+            torch.from_numpy(self.sensordata.astype(np.float32)),
+        )

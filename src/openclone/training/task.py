@@ -10,68 +10,20 @@ import torch
 
 from openclone.policy.teacher import teacher_observation
 from openclone.robot import g1
-from openclone.robot.model import CONTROL_PERIOD, SUBSTEPS, SensorLayout, standing_qpos
+from openclone.robot.model import CONTROL_PERIOD, SensorLayout
 from openclone.robot.state import RobotState, key_point_poses, read_state
 from openclone.spatial import rotations
-from openclone.training.physics import ThreadedPhysics
+from openclone.training.births import displace, to_standing
+from openclone.training.physics import Physics
+from openclone.training.randomization import ActionPath, RobotFactory
 from openclone.training.reference import ReferenceMotions
-from openclone.training.reward_table import FAST, RewardWeights, total_reward
+from openclone.training.reward_table import total_reward
 from openclone.training.rewards import TrackingState
+from openclone.training.task_config import TaskConfig
+from openclone.training.task_config import TerminationLimits as TerminationLimits
+from openclone.training.terrain import Terrain
 
 _BIN = 25
-
-
-@dataclass(frozen=True)
-class TerminationLimits:
-    """When an episode ends early.
-
-    Attributes:
-        height: metres, torso height error (BeyondMimic: 0.25).
-        angle: radians, torso orientation error (BeyondMimic: 0.8).
-        end_effector: metres, height error of wrists and ankles; inf: off.
-        distance: metres, mean distance of head and hands (section 4.1: 1.5).
-    """
-
-    height: float = 0.25
-    angle: float = 0.8
-    end_effector: float = 0.25
-    distance: float = 0.8
-
-
-@dataclass(frozen=True)
-class TaskConfig:
-    """Settings of the tracking task.
-
-    Attributes:
-        num_envs: robots simulated together.
-        episode_steps: control steps until an episode is cut.
-        limits: early termination.
-        weights: reward weights.
-        failure_share: share of resets drawn by failure rate; the rest is uniform.
-        displaced_share: share of resets away from the reference (Table A2, born
-            distance and heading).
-        born_distance: metres, largest displacement.
-        born_heading: radians, largest heading offset.
-        standing_share: share of resets in the standing pose at the reference's place.
-        push_interval: seconds between pushes on average (Table A2: 5).
-        push_speed: m/s, largest horizontal push (Table A2: 1.5).
-        lead_frames: control steps by which the place of the observed reference runs
-            ahead of the rewarded one. A policy that sees a moving target and its
-            velocity follows it at a distance (0.18 s measured); this takes it away.
-    """
-
-    num_envs: int = 256
-    episode_steps: int = 500
-    limits: TerminationLimits = field(default_factory=TerminationLimits)
-    weights: RewardWeights = FAST
-    failure_share: float = 0.7
-    displaced_share: float = 0.1
-    born_distance: float = 0.3
-    born_heading: float = 0.35
-    standing_share: float = 0.0
-    push_interval: float = 5.0
-    push_speed: float = 0.5
-    lead_frames: int = 10
 
 
 @dataclass(frozen=True)
@@ -115,12 +67,22 @@ class TrackingTask:
     def __init__(
         self,
         reference: ReferenceMotions,
-        physics: ThreadedPhysics,
+        physics: Physics,
         layout: SensorLayout,
         config: TaskConfig,
         seed: int,
+        terrain: Terrain | None = None,
     ) -> None:
-        """Reset every robot to a random frame of ``reference``."""
+        """Reset every robot to a random frame of ``reference``.
+
+        Args:
+            reference: on the device of ``physics``.
+            physics: robots in the world that ``terrain`` describes.
+            layout: where their sensors lie.
+            config: see there.
+            seed: of all randomness.
+            terrain: uneven ground; None if all is flat.
+        """
         self.reference = reference
         self.physics = physics
         self.config = config
@@ -129,6 +91,13 @@ class TrackingTask:
         self._layout = layout
         self._rng = np.random.default_rng(seed)
         self._torch_rng = torch.Generator().manual_seed(seed)
+        # Streams of its own, so that a range of zero leaves all other draws alone.
+        stream = np.random.default_rng([seed, 2])
+        self._terrain, self._terrain_rng = terrain, np.random.default_rng([seed, 3])
+        self._origin = np.zeros((physics.num_envs, 3))
+        delays = torch.Generator(physics.device).manual_seed(seed + 1)
+        self._path = ActionPath(config.randomization, physics.num_envs, delays)
+        self._factory = RobotFactory(config.randomization, physics, self._path, stream)
         n = self.num_envs
         self.frame = torch.zeros(n, dtype=torch.long)
         self.age = torch.randint(
@@ -194,9 +163,8 @@ class TrackingTask:
         previous_action = self.action
         self.action = (targets - reference.joint_angles) / self.action_scale
         before = self._state
-        ctrl = np.repeat(targets.numpy().astype(np.float64)[:, None], SUBSTEPS, axis=1)
         self._push()
-        self.physics.step(ctrl)
+        self.physics.step(self._path(targets))
         self.frame = following
         self.age += 1
         self._read()
@@ -255,16 +223,12 @@ class TrackingTask:
         return outcomes
 
     def _read(self) -> None:
-        def tensor(values: np.ndarray) -> torch.Tensor:
-            return torch.from_numpy(values.astype(np.float32))
-
-        physics = self.physics
-        self._state = read_state(
-            self._layout,
-            tensor(physics.qpos),
-            tensor(physics.qvel),
-            tensor(physics.sensordata),
-        )
+        qpos, qvel, sensordata = self.physics.read()
+        if self._terrain is not None:
+            origin = torch.from_numpy(self._origin).to(sensordata)
+            bodies = sensordata[:, self._layout.position]
+            bodies -= origin.repeat(1, bodies.shape[1] // 3)
+        self._state = read_state(self._layout, qpos, qvel, sensordata)
 
     def _push(self) -> None:
         """Kick some robots sideways (Table A2, push robot)."""
@@ -348,8 +312,16 @@ class TrackingTask:
         draw = rng.random(count)
         standing = draw < config.standing_share
         displaced = draw > 1.0 - config.displaced_share
-        self._to_standing(qpos, qvel, standing)
-        self._displace(qpos, qvel, displaced)
+        to_standing(qpos, qvel, standing)
+        displace(
+            qpos,
+            qvel,
+            displaced,
+            rng,
+            distance=config.born_distance,
+            heading=config.born_heading,
+            by_area=config.born_by_area,
+        )
         qpos[:, 7:] += 0.05 * rng.standard_normal((count, g1.NUM_JOINTS))
         qpos[:, 2] += 0.01
         qvel[:, :6] += 0.1 * rng.standard_normal((count, 6))
@@ -357,27 +329,15 @@ class TrackingTask:
         self.age[ids] = 0
         self._born_age[ids] = 0
         self._displaced[ids] = torch.from_numpy(standing | displaced)
-        self.physics.reset(ids.numpy(), qpos, qvel)
+        robots = ids.numpy()
+        self._factory.rebuild(robots, torch.from_numpy(qpos[:, 7:]))
+        if self._terrain is not None:
+            terrain = self._terrain
+            origin = terrain.origins(robots, qpos[:, :2], self._terrain_rng)
+            self._origin[robots] = origin
+            qpos[:, :3] += origin
+            qpos[:, 2] += terrain.clearance(qpos[:, :2])
+        self.physics.reset(robots, qpos, qvel)
         self._read()
         self.action[ids] = 0.0
         self._air_time[ids] = 0.0
-
-    @staticmethod
-    def _to_standing(qpos: np.ndarray, qvel: np.ndarray, chosen: np.ndarray) -> None:
-        """Replace the chosen states by the standing pose at the same place."""
-        heading = rotations.heading(qpos[chosen, 3:7])
-        qpos[chosen, 2:] = standing_qpos()[2:]
-        qpos[chosen, 3:7] = heading
-        qvel[chosen] = 0.0
-
-    def _displace(self, qpos: np.ndarray, qvel: np.ndarray, chosen: np.ndarray) -> None:
-        """Move and turn the chosen states away from the reference (Table A2)."""
-        count = int(chosen.sum())
-        angle = self._rng.uniform(-np.pi, np.pi, count)
-        distance = self.config.born_distance * np.sqrt(self._rng.random(count))
-        offset = np.stack((np.cos(angle), np.sin(angle)), -1)
-        qpos[chosen, :2] += distance[:, None] * offset
-        limit = self.config.born_heading
-        turn = rotations.from_yaw(self._rng.uniform(-limit, limit, count))
-        qpos[chosen, 3:7] = rotations.multiply(turn, qpos[chosen, 3:7])
-        qvel[chosen, :3] = rotations.rotate(turn, qvel[chosen, :3])
