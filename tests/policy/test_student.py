@@ -6,8 +6,13 @@ import torch
 from openclone.errors import InputError
 from openclone.policy import observation
 from openclone.policy.bundle import g1_info, load_bundle
+from openclone.policy.command import Command, KeyPoints
+from openclone.policy.controller import StudentController
+from openclone.policy.mlp import MlpConfig
 from openclone.policy.moe import MoeConfig
+from openclone.policy.observation import Proprioception
 from openclone.policy.student import StudentModel, export_bundle
+from openclone.robot import g1
 
 
 @pytest.fixture(scope="module")
@@ -32,6 +37,47 @@ def test_onnx_equals_torch(exported):
     assert np.abs(expected).max() > 0.5
 
 
+@pytest.mark.parametrize(
+    ("network", "history"),
+    [(MlpConfig((16, 8)), 5), (MoeConfig(layers=1, experts=8, width=16), 50)],
+)
+def test_other_networks_and_histories_run_in_the_loop(network, history, tmp_path):
+    torch.manual_seed(0)
+    model = StudentModel(network, 0.1, history)
+    with torch.no_grad():
+        model.network.head.weight.normal_()
+    path = tmp_path / "ablation.onnx"
+    export_bundle(model, g1_info("ablation", "", "", history), path)
+    bundle = load_bundle(path)
+    assert bundle.info.observation_size == 51 + 93 * history
+    controller = StudentController(bundle)
+    points = KeyPoints(np.zeros((3, 3)), np.tile([1.0, 0, 0, 0], (3, 1)))
+    command = Command(points, np.zeros((3, 3)))
+    resting = Proprioception(
+        g1.DEFAULT_POSE, np.zeros(29), np.zeros(3), np.array([1.0, 0, 0, 0])
+    )
+    for _ in range(3):
+        before = controller.action
+        targets = controller.step(command, resting, points)
+    # The loop's own input is the network's: the history holds the last actions.
+    inputs = torch.from_numpy(bundle_input(command, points, controller, before))
+    with torch.no_grad():
+        expected = model.eval().mean_action(inputs[None].float())[0].numpy()
+    np.testing.assert_allclose(controller.action, expected, atol=1e-4)
+    np.testing.assert_allclose(
+        targets, g1.DEFAULT_POSE + g1.ACTION_SCALE * controller.action, atol=1e-9
+    )
+
+
+def bundle_input(command, points, controller, before):
+    history = controller._history
+    assert history is not None
+    # The newest frame ends with the previous action, halved.
+    np.testing.assert_allclose(history.frames[0, -29:], before * 0.5, atol=1e-12)
+    heading = np.array([1.0, 0, 0, 0])
+    return observation.student(observation.task(command, points, heading), history)
+
+
 def test_metadata_travels_with_the_file(exported):
     info = load_bundle(exported[1]).info
     assert info == g1_info("test", "abc", "none")
@@ -51,6 +97,9 @@ def change(path, target, key, value):
     [
         ("layout", '"other-layout"', "layout is 'other-layout'"),
         ("history", "5", "history is 5"),
+        ("history", "2.5", "history is 2.5"),
+        ("history", "100000", "history is 100000"),
+        ("observation_size", "100", "observation_size must be 2376"),
         ("joint_names", '["a", "b"]', "joint_names"),
         ("kp", "[1.0, 2.0]", "kp must be 29"),
         ("format", '"nothing"', "metadata"),

@@ -18,6 +18,8 @@ from openclone.robot import g1
 
 FORMAT = "openclone-bundle-1"
 MAX_FILE_BYTES = 64 * 1024 * 1024
+MAX_HISTORY = 200
+"""Frames; four seconds are more than any policy of this kind uses."""
 _REMEDY = "export it again with `openclone train student`"
 
 
@@ -52,13 +54,15 @@ class BundleInfo:
     training: str
 
 
-def g1_info(name: str, data_hash: str, training: str) -> BundleInfo:
+def g1_info(
+    name: str, data_hash: str, training: str, history: int = observation.HISTORY
+) -> BundleInfo:
     """Metadata of a student for the G1 with this project's table and layout."""
     return BundleInfo(
         name=name,
         layout=observation.LAYOUT,
-        history=observation.HISTORY,
-        observation_size=observation.student_size(),
+        history=history,
+        observation_size=observation.student_size(history),
         joint_names=g1.JOINT_NAMES,
         default_pose=tuple(g1.DEFAULT_POSE.tolist()),
         action_scale=tuple(g1.ACTION_SCALE.tolist()),
@@ -141,6 +145,25 @@ def load_bundle(path: Path | None = None) -> Bundle:
     return Bundle(info, session)
 
 
+def _check_history(info: BundleInfo, where: str) -> None:
+    """The history's length is the bundle's choice; its input size follows from it."""
+    history = info.history
+    if type(history) is not int or not 1 <= history <= MAX_HISTORY:
+        raise InputError(
+            f"history is {history!r}, it must be 1 to {MAX_HISTORY} frames",
+            where=where,
+            remedy=_REMEDY,
+        )
+    wanted = observation.student_size(history)
+    if info.observation_size != wanted:
+        raise InputError(
+            f"history is {history}, so observation_size must be {wanted}, "
+            f"not {info.observation_size!r}",
+            where=where,
+            remedy=_REMEDY,
+        )
+
+
 def _check_info(properties: dict[str, str], where: str) -> BundleInfo:
     """Parse the metadata and compare it with this robot and observation layout."""
     try:
@@ -157,8 +180,9 @@ def _check_info(properties: dict[str, str], where: str) -> BundleInfo:
             where=where,
             remedy=_REMEDY,
         ) from None
+    _check_history(info, where)
     expected = g1_info("", "", "")
-    for name in ("layout", "history", "observation_size", "joint_names", "control_hz"):
+    for name in ("layout", "joint_names", "control_hz"):
         found, wanted = getattr(info, name), getattr(expected, name)
         if found != wanted:
             raise InputError(

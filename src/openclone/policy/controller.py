@@ -30,7 +30,7 @@ class StudentController:
     def observe(
         self, command: Command, now: Proprioception, measured: KeyPoints
     ) -> np.ndarray:
-        """The student's input, ``(2376,)``; call once per control step.
+        """The student's input, ``(observation_size,)``; call once per control step.
 
         Args:
             command: head and hand targets for the next step, world.
@@ -39,7 +39,7 @@ class StudentController:
         """
         frame = observation.frame(now, self.action, self._default)
         if self._history is None:
-            self._history = History(frame)
+            self._history = History(frame, self._bundle.info.history)
         else:
             self._history.push(frame)
         task = observation.task(command, measured, rotations.heading(now.base_quat))

@@ -91,6 +91,8 @@ def balance_loss(routing: list[torch.Tensor], slack: float = 0.25) -> torch.Tens
         routing: one ``(n, N)`` tensor of weights per layer.
         slack: ε.
     """
+    if not routing:  # a network without experts
+        return torch.zeros(())
     total = routing[0].new_zeros(())
     for weights in routing:
         usage = weights.mean(0)

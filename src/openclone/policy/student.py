@@ -11,6 +11,7 @@ from torch import nn
 
 from openclone.policy import observation
 from openclone.policy.bundle import BundleInfo, write_metadata
+from openclone.policy.mlp import MlpConfig, MlpNetwork
 from openclone.policy.moe import MoeConfig, MoeNetwork
 from openclone.robot import g1
 
@@ -19,15 +20,18 @@ GROUP = "student"
 
 
 class StudentModel(MLPModel):
-    """Normalized observation -> MoE network -> action mean.
+    """Normalized observation -> network -> action mean.
 
-    A model of rsl_rl, so that its PPO can fine-tune what DAgger has taught; the
-    Gaussian's standard deviation is used only there.
+    The network is the paper's Mixture of Experts, or the MLP of its baseline. A model
+    of rsl_rl, so that its PPO can fine-tune what DAgger has taught; the Gaussian's
+    standard deviation is used only there.
     """
 
     mlp: nn.Module
 
-    def __init__(self, moe: MoeConfig, initial_std: float, history: int) -> None:
+    def __init__(
+        self, network: MoeConfig | MlpConfig, initial_std: float, history: int
+    ) -> None:
         size = observation.student_size(history)
         example = TensorDict({GROUP: torch.zeros(1, size)}, batch_size=[1])
         super().__init__(
@@ -43,13 +47,17 @@ class StudentModel(MLPModel):
                 "std_type": "log",
             },
         )
-        self.mlp = MoeNetwork(size, g1.NUM_JOINTS, moe)
-        nn.init.uniform_(self.mlp.head.weight, -0.01, 0.01)
+        if isinstance(network, MoeConfig):
+            built = MoeNetwork(size, g1.NUM_JOINTS, network)
+        else:
+            built = MlpNetwork(size, g1.NUM_JOINTS, network)
+        nn.init.uniform_(built.head.weight, -0.01, 0.01)
+        self.mlp = built
 
     @property
-    def network(self) -> MoeNetwork:
-        """The MoE network."""
-        assert isinstance(self.mlp, MoeNetwork)
+    def network(self) -> MoeNetwork | MlpNetwork:
+        """The network behind the normalization."""
+        assert isinstance(self.mlp, (MoeNetwork, MlpNetwork))
         return self.mlp
 
     def with_routing(
@@ -59,13 +67,14 @@ class StudentModel(MLPModel):
         return self.network.with_routing(self.obs_normalizer(observations))
 
     def mean_action(self, observations: torch.Tensor) -> torch.Tensor:
-        """Actions without noise, ``(n, 2376) -> (n, 29)``."""
+        """Actions without noise, ``(n, d) -> (n, 29)``."""
         return self.mlp(self.obs_normalizer(observations))
 
     def freeze_routing(self) -> None:
         """Keep routers and input normalization as DAgger left them."""
-        for layer in self.network.layers:
-            layer.router.requires_grad_(False)
+        if isinstance(self.network, MoeNetwork):
+            for layer in self.network.layers:
+                layer.router.requires_grad_(False)
         self.obs_normalization = False
 
 
