@@ -22,9 +22,15 @@ JOINTS = (
 )  # fmt: skip
 """Canonical joints; ``toe`` is the ball of the foot."""
 SIDES = ("left", "right")
-MAX_FRAMES = 400_000
-"""More frames than this (an hour at 100 Hz) in one recording is a damaged header."""
-_METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
+MAX_FRAMES = 200_000
+"""Half an hour at 110 Hz; keeps the memory of one recording far below 1 GB."""
+_METRES = {
+    "m": 1.0,
+    "cm": 0.01,
+    "mm": 0.001,
+    "inch": 0.0254,
+    "CMU's inch / 0.45": 0.0254 / 0.45,
+}
 _LEG_RANGE = (0.55, 1.15)
 _MAX_SPEED = 20.0
 """Metres per second relative to the hips; no hand or foot is faster."""

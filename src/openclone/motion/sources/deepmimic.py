@@ -1,100 +1,158 @@
-"""DeepMimic's JSON recordings (``humanoid3d_*.txt``): Y-up, facing +X, arms hanging."""
+"""DeepMimic's JSON recordings (``humanoid3d_*.txt``): Y-up, facing +X, arms hanging.
+
+The file is parsed frame by frame, so that a damaged one cannot fill the memory and an
+error names the line.
+"""
 
 from __future__ import annotations
 
 import json
+import re
+from array import array
 from pathlib import Path
 
 import numpy as np
 
 from openclone.errors import InputError
-from openclone.motion.skeleton import JOINTS, MAX_FRAMES, HumanMotion, make_motion
-from openclone.motion.sources.bvh import MAX_BYTES
-from openclone.spatial import rotations
+from openclone.motion.skeleton import MAX_FRAMES, HumanMotion, make_motion
+from openclone.motion.skeleton_maps import maps_for, pose_fixed, to_body_axes
+from openclone.motion.sources.text_lines import check_file
 
 FRAME_SIZE = 44
-Z_UP = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
-_Z_UP_QUAT = rotations.from_matrix(Z_UP)
-# joint: parent, first column of its rotation, columns (4 quaternion, 1 hinge about z,
-# 0 fixed), offset from the parent in metres, file axes (x forward, y up, z right).
-_SKELETON: dict[str, tuple[str, int, int, tuple[float, float, float]]] = {
-    "hips": ("", 4, 4, (0, 0, 0)),
-    "chest": ("hips", 8, 4, (0, 0.236, 0)),
-    "neck": ("chest", 12, 4, (0, 0.224, 0)),
-    "head": ("neck", 0, 0, (0.02, 0.12, 0)),
-    "right_hip": ("hips", 16, 4, (0, 0, 0.085)),
-    "right_knee": ("right_hip", 20, 1, (0, -0.4215, 0)),
-    "right_ankle": ("right_knee", 21, 4, (0, -0.41, 0)),
-    "right_toe": ("right_ankle", 0, 0, (0.12, -0.04, 0)),
-    "right_shoulder": ("chest", 25, 4, (-0.024, 0.2435, 0.183)),
-    "right_elbow": ("right_shoulder", 29, 1, (0, -0.275, 0)),
-    "right_wrist": ("right_elbow", 0, 0, (0, -0.259, 0)),
-    "left_hip": ("hips", 30, 4, (0, 0, -0.085)),
-    "left_knee": ("left_hip", 34, 1, (0, -0.4215, 0)),
-    "left_ankle": ("left_knee", 35, 4, (0, -0.41, 0)),
-    "left_toe": ("left_ankle", 0, 0, (0.12, -0.04, 0)),
-    "left_shoulder": ("chest", 39, 4, (-0.024, 0.2435, -0.183)),
-    "left_elbow": ("left_shoulder", 43, 1, (0, -0.275, 0)),
-    "left_wrist": ("left_elbow", 0, 0, (0, -0.259, 0)),
-}
+MAX_BYTES = 128 * 1024 * 1024
+MAX_ENTRY = 65_536
+"""Characters of a frame, or of another entry beside the frames."""
+_SPACE = re.compile(r"[ \t\r\n]*")
+_NUMBERS = re.compile(r"[-+0-9.eE, \t\r\n]*\]")
 
 
-def _arm_turn(joint: str) -> np.ndarray:
-    """World turn (Z-up) that takes a T-pose arm to this file's hanging arm."""
-    if not joint.endswith(("shoulder", "elbow", "wrist")):
-        return np.array(rotations.IDENTITY)
-    sign = -1.0 if joint.startswith("left") else 1.0
-    return rotations.from_axis_angle(np.array([1.0, 0, 0]), sign * np.pi / 2)
+class _Json:
+    """A place in a JSON text; every step is checked and bounded."""
 
+    def __init__(self, path: Path) -> None:
+        check_file(path, MAX_BYTES)
+        self.path = path
+        try:
+            self.text = path.read_text(encoding="utf-8-sig")
+        except UnicodeDecodeError as error:
+            raise InputError(
+                f"not UTF-8 text (byte {error.start})",
+                where=str(path),
+                remedy="use a DeepMimic motion file",
+            ) from None
+        self.at = 0
 
-def _local(values: np.ndarray, column: int, width: int) -> np.ndarray:
-    if width == 4:
-        return rotations.normalize(values[:, column : column + 4])
-    angle = values[:, column] if width else np.zeros(len(values))
-    return rotations.from_axis_angle(np.array([0.0, 0, 1]), angle)
+    @property
+    def where(self) -> str:
+        """File and line, for errors."""
+        return f"{self.path}, line {self.text.count(chr(10), 0, self.at) + 1}"
 
-
-def _read_frames(path: Path) -> np.ndarray:
-    """``(T, 44)`` finite numbers."""
-    if not path.is_file():
-        raise InputError("no such file", where=str(path), remedy="check the path")
-    if path.stat().st_size > MAX_BYTES:
-        raise InputError("larger than 512 MB", where=str(path), remedy="split it")
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except (ValueError, RecursionError) as error:
-        raise InputError(
-            f"not valid JSON ({error})",
-            where=str(path),
+    def bad(self, what: str) -> InputError:
+        return InputError(
+            f"not valid JSON ({what})",
+            where=self.where,
             remedy="the file is truncated or damaged; copy it again",
-        ) from error
-    frames = data.get("Frames") if isinstance(data, dict) else None
-    if not isinstance(frames, list) or not 2 <= len(frames) <= MAX_FRAMES:
+        )
+
+    def peek(self) -> str:
+        """The next character that is no white space, empty at the end."""
+        match = _SPACE.match(self.text, self.at)
+        self.at = match.end() if match else self.at
+        return self.text[self.at : self.at + 1]
+
+    def expect(self, wanted: str) -> str:
+        found = self.peek()
+        if not found or found not in wanted:
+            raise self.bad(f"expected one of {wanted}, found {found!r}")
+        self.at += 1
+        return found
+
+    def value(self) -> object:
+        """Any value of at most `MAX_ENTRY` characters."""
+        self.peek()
+        piece = self.text[self.at : self.at + MAX_ENTRY]
+        try:
+            value, length = json.JSONDecoder().raw_decode(piece)
+        except (ValueError, RecursionError) as error:
+            raise self.bad(str(error)[:80]) from None
+        self.at += length
+        return value
+
+    def row(self, index: int) -> list[float]:
+        """A list of `FRAME_SIZE` finite numbers."""
+        self.peek()
+        match = None
+        if self.text.startswith("[", self.at):
+            match = _NUMBERS.match(self.text, self.at + 1, self.at + MAX_ENTRY)
+        value = self.value() if match else None
+        try:
+            if isinstance(value, list) and len(value) == FRAME_SIZE:
+                numbers = [float(item) for item in value]
+                if np.isfinite(numbers).all():
+                    return numbers
+        except OverflowError:
+            pass
+        if not match and not self.text.find("]", self.at, self.at + MAX_ENTRY) >= 0:
+            raise self.bad("a frame has no end")
+        raise InputError(
+            f"Frames[{index}]: expected {FRAME_SIZE} finite numbers",
+            where=self.where,
+            remedy="use the humanoid3d format: duration, root pose, 12 joints",
+        )
+
+
+def _read_list(text: _Json) -> tuple[np.ndarray, list[int]]:
+    """Frames ``(T, 44)`` and the character at which each starts."""
+    values, starts = array("d"), []
+    text.expect("[")
+    mark = "," if text.peek() != "]" else text.expect("]")
+    while mark == ",":
+        if len(starts) >= MAX_FRAMES:
+            break
+        text.peek()
+        starts.append(text.at)
+        values.extend(text.row(len(starts) - 1))
+        mark = text.expect(",]")
+    if mark == "," or len(starts) < 2:
         raise InputError(
             f'no list "Frames" of 2 to {MAX_FRAMES} frames',
-            where=str(path),
+            where=text.where,
             remedy="use a DeepMimic motion file",
         )
-    for index, row in enumerate(frames):
-        numbers = isinstance(row, list) and all(type(x) in (int, float) for x in row)
-        if not numbers or len(row) != FRAME_SIZE or not np.isfinite(row).all():
-            raise InputError(
-                f"expected {FRAME_SIZE} finite numbers",
-                where=f"{path}, Frames[{index}]",
-                remedy="use the humanoid3d format: duration, root pose, 12 joints",
-            )
-    values = np.array(frames, dtype=float)
-    for joint, (_, column, width, _) in _SKELETON.items():
-        if width == 4:
-            lengths = np.linalg.norm(values[:, column : column + 4], axis=1)
-            worst = int(np.abs(lengths - 1).argmax())
-            if abs(lengths[worst] - 1) > 0.5:  # blended by some exporters
-                raise InputError(
-                    f"the quaternion of {joint} has length {lengths[worst]:.3g}",
-                    where=f"{path}, Frames[{worst}]",
-                    remedy="write unit quaternions, w first",
-                )
-    return values
+    return np.frombuffer(values, dtype=float).reshape(-1, FRAME_SIZE), starts
+
+
+def _read_frames(path: Path) -> tuple[np.ndarray, list[str]]:
+    """``(T, 44)`` finite numbers, and the place of every frame."""
+    text = _Json(path)
+    frames: tuple[np.ndarray, list[int]] | None = None
+    mark = text.expect("{") if text.peek() == "{" else "}"
+    while mark in "{,":
+        name = text.value() if text.peek() == '"' else None
+        if not isinstance(name, str):
+            raise text.bad("expected a name")
+        text.expect(":")
+        if name != "Frames":
+            text.value()
+        elif frames is None and text.peek() == "[":
+            frames = _read_list(text)
+        else:
+            raise text.bad("Frames twice, or no list")
+        mark = text.expect(",}")
+    if frames is None or text.peek():
+        raise InputError(
+            f'no list "Frames" of 2 to {MAX_FRAMES} frames'
+            if frames is None
+            else "something follows the end",
+            where=text.where,
+            remedy="use a DeepMimic motion file",
+        )
+    values, starts = frames
+    places, line, last = [], 1, 0
+    for index, start in enumerate(starts):
+        line, last = line + text.text.count("\n", last, start), start
+        places.append(f"{path}, line {line}, Frames[{index}]")
+    return values, places
 
 
 def read(path: Path) -> HumanMotion:
@@ -103,30 +161,34 @@ def read(path: Path) -> HumanMotion:
     Raises:
         InputError: the file is missing, truncated, malformed or of another body.
     """
-    values = _read_frames(path)
+    values, places = _read_frames(path)
+    item = maps_for("deepmimic", path)[0]
+    for joint in item.joints:
+        if joint.kind == "quaternion":
+            part = values[:, joint.column : joint.column + 4]
+            lengths = np.sqrt(np.minimum(part * part, 1e6).sum(1))
+            worst = int(np.abs(lengths - 1).argmax())
+            if abs(lengths[worst] - 1) > 0.5:  # blended by some exporters
+                raise InputError(
+                    f"the quaternion of {joint.name} has length {lengths[worst]:.3g}",
+                    where=places[worst],
+                    remedy="write unit quaternions, w first",
+                )
     steps = values[:-1, 0]
     if not (steps > 0).all():
         raise InputError(
             f"duration {steps.min():g} s",
-            where=f"{path}, Frames[{int(steps.argmin())}]",
+            where=places[int(steps.argmin())],
             remedy="every frame but the last lasts longer than zero",
         )
-    positions, quats = {}, {}
-    for joint, (parent, column, width, offset) in _SKELETON.items():
-        turn = _local(values, column, width)
-        if not parent:
-            positions[joint], quats[joint] = values[:, 1:4], turn
-            continue
-        positions[joint] = positions[parent] + rotations.rotate(
-            quats[parent], np.array(offset, dtype=float)
+    with np.errstate(all="ignore"):
+        positions, quats = pose_fixed(item.joints, values[:, 1:4], values)
+        assert item.world is not None  # maps of this format name their axes
+        fps = 1.0 / float(np.median(steps))
+        return make_motion(
+            path.stem,
+            fps,
+            positions @ item.world.T,
+            to_body_axes(quats, item),
+            str(path),
         )
-        quats[joint] = rotations.multiply(quats[parent], turn)
-    position = np.stack([positions[joint] for joint in JOINTS], 1) @ Z_UP.T
-    quat = np.stack([quats[joint] for joint in JOINTS], 1)
-    turn = np.broadcast_to(_Z_UP_QUAT, quat.shape)
-    quat = rotations.multiply(rotations.multiply(turn, quat), rotations.conjugate(turn))
-    hanging = np.stack([_arm_turn(joint) for joint in JOINTS])
-    quat = rotations.multiply(quat, np.broadcast_to(hanging, quat.shape))
-    return make_motion(
-        path.stem, 1.0 / float(np.median(steps)), position, quat, str(path)
-    )
