@@ -11,10 +11,12 @@ import os
 import sys
 from collections.abc import Callable
 
+from openclone.cli.curation import motions_build, motions_inspect
 from openclone.cli.facts import policy_info, robot_joints, version
 from openclone.cli.learning import train_student, train_teacher
 from openclone.cli.measuring import evaluate_standing, evaluate_tracking
-from openclone.cli.motions import motions_inspect, motions_retarget, motions_synthesize
+from openclone.cli.motions import motions_retarget, motions_synthesize
+from openclone.cli.odometry import odometry_run
 from openclone.cli.running import demo, teleop, view
 from openclone.errors import InputError, OpenCloneError
 
@@ -28,7 +30,9 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "train student": train_student,
     "motions synthesize": motions_synthesize,
     "motions retarget": motions_retarget,
+    "motions build": motions_build,
     "motions inspect": motions_inspect,
+    "odometry run": odometry_run,
     "policy info": policy_info,
     "robot joints": robot_joints,
     "version": version,

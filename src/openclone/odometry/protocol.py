@@ -31,3 +31,32 @@ class Odometry(Protocol):
     def health(self, stamp_ns: int) -> OdometryHealth:
         """The state of the odometry at ``stamp_ns``."""
         ...
+
+
+class SensorOdometry(Odometry, Protocol):
+    """Odometry that estimates the pose itself, from an IMU and a LiDAR.
+
+    Its poses are those of the IMU. FAST-LIO2 and the adapter of rko_lio are such; a
+    replayed recording and the simulated sensors feed them in the same way.
+    """
+
+    def add_imu(self, stamp_ns: int, gyro: np.ndarray, accel: np.ndarray) -> None:
+        """One reading: (3,) rad/s and (3,) m/s², IMU frame."""
+        ...
+
+    def add_scan(self, points: np.ndarray, stamps_ns: np.ndarray) -> object:
+        """One frame: (N, 3) metres, LiDAR frame, and the (N,) stamps of its points."""
+        ...
+
+
+class PoseOdometry(Odometry, Protocol):
+    """Odometry that another program computes and this one only receives.
+
+    A ``nav_msgs/Odometry`` subscriber calls ``add_pose`` for each message.
+    """
+
+    def add_pose(
+        self, stamp_ns: int, position: np.ndarray, quat: np.ndarray, received_ns: int
+    ) -> bool:
+        """One pose: (3,) metres and (4,) wxyz; False if it was refused."""
+        ...
