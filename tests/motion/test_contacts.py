@@ -8,7 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from openclone.motion.contacts import foot_contacts, ground_level, runs, smooth
+from openclone.motion.contacts import (
+    foot_contacts,
+    ground_level,
+    level_ground,
+    runs,
+    smooth,
+)
 from openclone.motion.skeleton import JOINTS, HumanMotion
 
 Human = Callable[..., HumanMotion]
@@ -58,6 +64,49 @@ def test_the_ground_may_lie_anywhere(human: Human, offset: float) -> None:
     raised = replace(motion, positions=motion.positions + np.array([0, 0, offset]))
     assert ground_level(raised, "ankle") == pytest.approx(0.09 + offset, abs=0.005)
     assert np.array_equal(foot_contacts(raised), foot_contacts(motion))
+
+
+def walk_uphill(motion: HumanMotion, rise: float) -> HumanMotion:
+    """Four steps while the floor, and everything on it, rises by ``rise`` metres."""
+    for index, side in enumerate(("left", "right", "left", "right")):
+        motion = with_step(motion, side, 20 + 40 * index, 45 + 40 * index)
+    slope = np.linspace(0, rise, motion.num_frames)
+    lift = slope[:, None, None] * np.array([0, 0, 1.0])
+    return replace(motion, positions=motion.positions + lift)
+
+
+def test_a_rising_floor_hides_no_stance(human: Human) -> None:
+    flat, steep = walk_uphill(human(200), 0.0), walk_uphill(human(200), 0.12)
+    different = foot_contacts(flat) != foot_contacts(steep)
+    assert different.mean() < 0.02
+
+
+def test_levelling_brings_all_stances_to_one_height(human: Human) -> None:
+    steep = walk_uphill(human(200), 0.12)
+    level = level_ground(steep)
+    for index, side in enumerate(("left", "right")):
+        stands = foot_contacts(level)[:, index]
+        assert np.ptp(steep.joint(f"{side}_ankle")[stands, 2]) > 0.09
+        assert np.ptp(level.joint(f"{side}_ankle")[stands, 2]) < 0.045
+    # The same floor is taken out under the head.
+    shift = level.positions[..., 2] - steep.positions[..., 2]
+    assert np.allclose(shift, shift[:, :1])
+
+
+def test_a_level_recording_stays_as_it_is(human: Human) -> None:
+    flat = walk_uphill(human(200), 0.0)
+    assert np.allclose(level_ground(flat).positions, flat.positions, atol=0.005)
+
+
+def test_a_foot_that_is_held_up_does_not_stand(human: Human) -> None:
+    motion = human(200)
+    positions = motion.positions.copy()
+    up = 0.3 * np.clip((np.arange(200) - 50) / 20, 0, 1)
+    for joint in FOOT["left"]:
+        positions[:, joint, 2] += up
+    contact = foot_contacts(replace(motion, positions=positions))
+    assert not contact[75:, 0].any()
+    assert contact[:, 1].all()
 
 
 def test_slow_sliding_is_still_standing_but_walking_is_not(human: Human) -> None:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from openclone.motion.skeleton import SIDES, HumanMotion
+
+_MAX_SLOPE = 0.15
+"""Metres; a higher step is something that was climbed."""
 
 
 @dataclass(frozen=True)
@@ -15,16 +19,24 @@ class ContactConfig:
 
     Attributes:
         max_speed: m/s, horizontal, of the ankle; a foot in flight is faster.
+        speed_share: the same as a share of the foot's fastest swing nearby; the foot
+            of a runner never rests.
         max_lift_speed: m/s, vertical, of the ankle; a lifting heel is faster.
-        max_height: metres of the ball of the foot above its lowest level.
-        max_heel: metres of the ankle above its lowest level.
+        max_height: metres of the ball of the foot above its lowest level nearby.
+        max_heel: metres of the ankle above its lowest level nearby.
+        nearby_s: seconds before and after a frame that count as nearby: one stride.
+            Many recordings were taken on a floor that is not level.
+        max_drift: metres by which the floor may rise along a recording.
         min_stance_s: shorter stances and gaps are noise, seconds.
     """
 
     max_speed: float = 0.35
+    speed_share: float = 0.15
     max_lift_speed: float = 0.25
     max_height: float = 0.05
     max_heel: float = 0.12
+    nearby_s: float = 0.7
+    max_drift: float = 0.15
     min_stance_s: float = 0.08
 
 
@@ -62,6 +74,38 @@ def ground_level(motion: HumanMotion, joint: str) -> float:
     return min(levels)
 
 
+_FLIGHT_S = 1.2
+"""Seconds; no jump is longer, so what stays up for longer stands on something."""
+
+
+def _opened(values: np.ndarray, frames: int) -> np.ndarray:
+    """``values (T,)`` without peaks narrower than ``2 frames + 1``; slopes stay."""
+    frames = min(frames, (len(values) - 1) // 2)
+    for best in (np.min, np.max):
+        padded = np.pad(values, frames, mode="edge")
+        values = best(
+            np.lib.stride_tricks.sliding_window_view(padded, 2 * frames + 1), axis=1
+        )
+    return values
+
+
+def on_level_ground(motion: HumanMotion) -> HumanMotion:
+    """The same motion with the ground's slow ups and downs taken out.
+
+    Marker systems that are not levelled, and bodies that are fitted to markers, let
+    the ground rise and sink by several centimetres along a path. The ground is where
+    the lower foot goes down to, again and again.
+    """
+    toes = np.min([motion.joint(f"{side}_toe")[:, 2] for side in SIDES], axis=0)
+    ground = _opened(toes, round(0.5 * _FLIGHT_S * motion.fps))
+    ground = smooth(ground, 0.2 * motion.fps)
+    shift = ground - np.median(ground)
+    return replace(
+        motion,
+        positions=motion.positions - shift[:, None, None] * np.array([0.0, 0.0, 1.0]),
+    )
+
+
 def _without_short_runs(mask: np.ndarray, frames: int) -> np.ndarray:
     """Flip runs shorter than ``frames``: first the gaps, then the stances."""
     out = mask.copy()
@@ -80,22 +124,68 @@ def runs(mask: np.ndarray) -> list[tuple[int, int]]:
     return list(zip(starts.tolist(), stops.tolist(), strict=True))
 
 
+def _above_nearby(
+    height: np.ndarray, level: float, window: int, config: ContactConfig
+) -> np.ndarray:
+    """Metres (T,) of ``height`` above its lowest value nearby, which is near ``level``.
+
+    Lowest values far above ``level`` belong to a foot that is held up.
+    """
+    lowest = minimum_filter1d(height, window, mode="nearest")
+    return height - np.clip(lowest, level, level + config.max_drift)
+
+
+def level_ground(motion: HumanMotion) -> HumanMotion:
+    """Take out the slope of the floor: all stances of a foot come to one height.
+
+    Recordings of a walk rise or sink by several centimetres along the room. Between
+    stances the floor is interpolated.
+    """
+    contact = foot_contacts(motion)
+    times, heights = [], []
+    for index, side in enumerate(SIDES):
+        track = motion.joint(f"{side}_ankle")[:, 2]
+        stances = runs(contact[:, index])
+        levels = np.array([np.median(track[start:stop]) for start, stop in stances])
+        if len(levels):
+            lengths = [stop - start for start, stop in stances]
+            # Long stances weigh more in the foot's usual height.
+            usual = float(np.median(np.repeat(levels, lengths)))
+            times += [0.5 * (start + stop) for start, stop in stances]
+            heights += list(levels - usual)
+    if len(heights) < 2:
+        return motion
+    order = np.argsort(times)
+    at = np.arange(motion.num_frames)
+    floor = np.interp(at, np.array(times)[order], np.array(heights)[order])
+    floor = np.clip(smooth(floor, 0.3 * motion.fps), -_MAX_SLOPE, _MAX_SLOPE)
+    positions = motion.positions.copy()
+    positions[..., 2] -= floor[:, None]
+    return replace(motion, positions=positions)
+
+
 def foot_contacts(
     motion: HumanMotion, config: ContactConfig | None = None
 ) -> np.ndarray:
     """(T, 2) booleans: the left and the right foot stand on the ground."""
     config = config or ContactConfig()
+    window = 2 * round(config.nearby_s * motion.fps) + 1
     ankle_level = ground_level(motion, "ankle")
     toe_level = ground_level(motion, "toe")
     columns = []
     for side in SIDES:
         ankle, toe = motion.joint(f"{side}_ankle"), motion.joint(f"{side}_toe")
         speed = velocity(ankle, motion.fps)
+        level_speed = np.linalg.norm(speed[:, :2], axis=1)
+        swing = maximum_filter1d(level_speed, window, mode="nearest")
+        share = config.speed_share * swing
+        toe_height = _above_nearby(toe[:, 2], toe_level, window, config)
+        heel_height = _above_nearby(ankle[:, 2], ankle_level, window, config)
         contact = (
-            (np.linalg.norm(speed[:, :2], axis=1) < config.max_speed)
-            & (np.abs(speed[:, 2]) < config.max_lift_speed)
-            & (toe[:, 2] < toe_level + config.max_height)
-            & (ankle[:, 2] < ankle_level + config.max_heel)
+            (level_speed < np.maximum(config.max_speed, share))
+            & (np.abs(speed[:, 2]) < np.maximum(config.max_lift_speed, share))
+            & (toe_height < config.max_height)
+            & (heel_height < config.max_heel)
         )
         frames = max(round(config.min_stance_s * motion.fps), 1)
         columns.append(_without_short_runs(contact, frames))

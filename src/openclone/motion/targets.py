@@ -6,7 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from openclone.motion.contacts import foot_contacts, ground_level, runs, smooth
+from openclone.motion.contacts import (
+    foot_contacts,
+    ground_level,
+    level_ground,
+    runs,
+    smooth,
+)
 from openclone.motion.skeleton import SIDES, HumanMotion, operator_points
 from openclone.robot.model import SOLE_CORNERS, SOLE_Z
 from openclone.spatial import rotations
@@ -123,6 +129,8 @@ def _lock(values: np.ndarray, contact: np.ndarray) -> np.ndarray:
     return values + np.stack(shift, 1)
 
 
+_LONGEST_SWING_S = 1.2
+"""Seconds; longer ones are kicks or stances that were not seen: they get no arch."""
 _FULL_STRIDE = 0.2
 """Metres; shorter steps lift the foot in proportion to their length."""
 
@@ -137,6 +145,8 @@ def _swing_height(stands: np.ndarray, place: np.ndarray, height: float) -> np.nd
     """
     arch = np.zeros(len(stands))
     for start, stop in runs(~stands):
+        if stop - start > _LONGEST_SWING_S * FPS:
+            continue
         travel = np.linalg.norm(place[stop - 1] - place[start])
         phase = (np.arange(start, stop) - start + 1) / (stop - start + 1)
         top = height * min(1.0, travel / _FULL_STRIDE)
@@ -179,6 +189,7 @@ def _foot_targets(
 def make_targets(motion: HumanMotion, config: RetargetConfig) -> Targets:
     """Scale ``motion`` (at `FPS`) to the G1 and lock its standing feet."""
     sigma = config.smooth_s * FPS
+    motion = level_ground(motion)
     contact = foot_contacts(motion)
     scale = (THIGH + SHANK) / motion.leg_length
     pelvis_quat = _smooth_quat(motion.orientation("hips"), sigma)
