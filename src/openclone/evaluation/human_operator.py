@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 
-from openclone.motion.contacts import ground_level
+from openclone.motion.contacts import ground_level, level_ground
 from openclone.motion.skeleton import HumanMotion, operator_points
 from openclone.motion.targets import SHANK, THIGH
 from openclone.spatial import rotations
@@ -29,6 +29,7 @@ def operator_of_motion(
     motion: HumanMotion,
 ) -> tuple[OperatorRecording, CalibrationConfig]:
     """Head and wrists of ``motion`` above a floor at z = 0, and their calibration."""
+    motion = level_ground(motion)
     positions, quats = operator_points(motion)
     positions = positions.copy()
     positions[..., 2] -= ground_level(motion, "toe") - _TOE_HEIGHT
