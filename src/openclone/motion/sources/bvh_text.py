@@ -125,6 +125,38 @@ def _plain(name: str) -> str:
     return name.rsplit(":", 1)[-1]
 
 
+def _next_joint(words: _Words, parent: int, count: int) -> Node:
+    if count >= MAX_JOINTS:
+        raise InputError(
+            f"more than {MAX_JOINTS} joints",
+            where=words.where,
+            remedy="export the body without extra markers",
+        )
+    node = Node(_plain(words.take()), parent)
+    words.expect("{")
+    return node
+
+
+def _read_entry(word: str, words: _Words, node: Node) -> None:
+    """What a joint's block holds besides joints."""
+    if word == "OFFSET":
+        node.offset = np.array([words.number() for _ in "xyz"])
+    elif word == "CHANNELS":
+        node.channels = words.channels()
+    elif word == "End":
+        for expected in ("Site", "{", "OFFSET"):
+            words.expect(expected)
+        for _ in range(3):
+            words.number()
+        words.expect("}")
+    else:
+        raise InputError(
+            f"unknown keyword {word[:40]!r}",
+            where=words.where,
+            remedy="expected JOINT, End, OFFSET, CHANNELS or a closing brace",
+        )
+
+
 def read_hierarchy(lines: Lines) -> list[Node]:
     """The joints in file order (parents first); end sites are left out.
 
@@ -142,33 +174,12 @@ def read_hierarchy(lines: Lines) -> list[Node]:
     while open_nodes:
         word = words.take()
         if word == "JOINT":
-            if len(nodes) >= MAX_JOINTS:
-                raise InputError(
-                    f"more than {MAX_JOINTS} joints",
-                    where=words.where,
-                    remedy="export the body without extra markers",
-                )
-            nodes.append(Node(_plain(words.take()), open_nodes[-1]))
+            nodes.append(_next_joint(words, open_nodes[-1], len(nodes)))
             open_nodes.append(len(nodes) - 1)
-            words.expect("{")
-        elif word == "End":
-            for expected in ("Site", "{", "OFFSET"):
-                words.expect(expected)
-            for _ in range(3):
-                words.number()
-            words.expect("}")
-        elif word == "OFFSET":
-            nodes[open_nodes[-1]].offset = np.array([words.number() for _ in "xyz"])
-        elif word == "CHANNELS":
-            nodes[open_nodes[-1]].channels = words.channels()
         elif word == "}":
             open_nodes.pop()
         else:
-            raise InputError(
-                f"unknown keyword {word[:40]!r}",
-                where=words.where,
-                remedy="expected JOINT, End, OFFSET, CHANNELS or a closing brace",
-            )
+            _read_entry(word, words, nodes[open_nodes[-1]])
     if words.peek():
         raise InputError(
             f"{words.take()[:40]!r} follows the first skeleton",

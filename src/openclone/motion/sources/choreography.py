@@ -1,4 +1,4 @@
-"""Writing a motion down: stand, step, crouch, jump and gesture on one time line.
+"""Writing a motion down: stand, step, crouch and gesture on one time line.
 
 A `Choreography` holds the tracks of one clip. Each method appends a phrase at the
 current time and moves the time on; gestures are laid over phrases. `plan` samples the
@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from openclone.motion.sources.track import Track
-from openclone.motion.sources.whole_body import GRAVITY, Plan
+from openclone.motion.sources.track import Track, minimum_jerk, raised
+from openclone.motion.sources.whole_body import Plan
 from openclone.robot import g1
 
 FPS = 50.0
@@ -22,36 +22,49 @@ LEFT, RIGHT = 0, 1
 _OUTWARD = (1.0, -1.0)
 _SOLE_CENTRE_X = 0.03
 """Metres ahead of the ankle where the weight rests when standing."""
-_QUIET = 0.09
+_QUIET = 0.08
 """Share of the swing, at both ends, in which the foot only rises or only sinks."""
+_MAX_ROLL = 0.045
+"""Metres that the weight travels along the sole, each way from its centre."""
+_TURN_OVERLAP = 0.4
+"""Share of a step by which the pelvis begins to turn early and ends late."""
 
 
 @dataclass(frozen=True)
 class Gait:
-    """How a walk is walked.
+    """How one step is taken.
 
     Attributes:
-        forward: metres per step.
+        forward: metres per step, negative backward.
         sideways: metres per pair of steps, positive to the left.
         turn: radians per pair of steps, positive to the left.
+        lead: share of ``sideways`` and ``turn`` that the inner foot's step takes;
+            1 opens the stance and closes it again, 0.5 shares the way equally.
         step_s: seconds per step.
         shift_s: seconds of each step with both feet down.
         clearance: metres between the swinging sole and the ground.
         heel: radians that the heel rises above the toes early in the swing.
+        toe_off: radians that the foot has rolled onto its toes when it leaves.
+        strike: radians that the toes are up when the foot comes down on its heel;
+            negative: the heel is up, it comes down on its toes.
         bob: metres that the pelvis rises in mid-step.
     """
 
     forward: float = 0.0
     sideways: float = 0.0
     turn: float = 0.0
+    lead: float = 1.0
     step_s: float = 0.55
     shift_s: float = 0.14
-    clearance: float = 0.05
+    clearance: float = 0.055
     heel: float = 0.0
+    toe_off: float = 0.0
+    strike: float = 0.0
     bob: float = 0.006
 
 
-def _rotated(offset: tuple[float, float], yaw: float) -> np.ndarray:
+def rotated(offset: tuple[float, float], yaw: float) -> np.ndarray:
+    """``offset`` (2,) turned to the left by ``yaw`` radians."""
     cosine, sine = math.cos(yaw), math.sin(yaw)
     x, y = offset
     return np.array([cosine * x - sine * y, sine * x + cosine * y])
@@ -93,7 +106,7 @@ class Choreography:
             for side, sign in ((LEFT, 1.0), (RIGHT, -1.0))
         ]
         self.lift, self.pitch = Track([0.0, 0.0]), Track([0.0, 0.0])
-        self.zmp = Track(self._between())
+        self.zmp = Track(self.between())
         self.height = Track([height])
         self.trunk = Track([0.0, 0.0, 0.0])
         self.waist = Track([0.0, 0.0, 0.0])
@@ -104,16 +117,17 @@ class Choreography:
     def _footprint(self, body: np.ndarray, side: int) -> np.ndarray:
         """Ankle x, y and yaw of one foot when the body stands at ``body (3,)``."""
         sign = _OUTWARD[side]
-        xy = body[:2] + _rotated((0.0, 0.5 * sign * self.width), body[2])
+        xy = body[:2] + rotated((0.0, 0.5 * sign * self.width), body[2])
         return np.array([*xy, body[2] + sign * self.toe_out])
 
     def _pressure(self, side: int, along: float) -> np.ndarray:
         """A point of the sole, ``along`` metres ahead of the ankle, slightly inward."""
         x, y, yaw = self.feet[side].end
         inward = -0.012 * _OUTWARD[side]
-        return np.array([x, y]) + _rotated((along, inward), yaw)
+        return np.array([x, y]) + rotated((along, inward), yaw)
 
-    def _between(self) -> np.ndarray:
+    def between(self) -> np.ndarray:
+        """(2,) the point between the soles' centres."""
         left = self._pressure(LEFT, _SOLE_CENTRE_X)
         return 0.5 * (left + self._pressure(RIGHT, _SOLE_CENTRE_X))
 
@@ -123,12 +137,12 @@ class Choreography:
 
     def settle(self, seconds: float = 0.6) -> None:
         """Bring the weight between the feet."""
-        self.zmp.move(self.time_s, self.time_s + seconds, self._between())
+        self.zmp.move(self.time_s, self.time_s + seconds, self.between())
         self.time_s += seconds
 
     def shift_weight(self, side: int, share: float, seconds: float) -> None:
         """Lean onto one foot: ``share`` 0 is the middle, 1 that foot alone."""
-        target = self._between()
+        target = self.between()
         target = target + share * (self._pressure(side, _SOLE_CENTRE_X) - target)
         self.zmp.move(self.time_s, self.time_s + seconds, target)
         self.time_s += seconds
@@ -150,47 +164,39 @@ class Choreography:
         start = self.time_s
         swing_s = gait.step_s - gait.shift_s
         up, down = start + shift_s, start + shift_s + swing_s
-        roll = min(0.3 * abs(gait.forward), 0.035) * np.sign(gait.forward)
+        roll = float(np.clip(0.35 * gait.forward, -_MAX_ROLL, _MAX_ROLL))
         self.zmp.move(start, up, self._pressure(stance, _SOLE_CENTRE_X - roll))
         self.zmp.move(up, down, self._pressure(stance, _SOLE_CENTRE_X + roll))
         fly_s, land_s = up + _QUIET * swing_s, down - _QUIET * swing_s
         self.feet[side].move(fly_s, land_s, self._footprint(body, side))
         one_foot = np.eye(2)[side]
-        self.lift.bump(up, down, gait.clearance * one_foot)
-        heel_down_s = up + 0.75 * swing_s
-        self.pitch.bump(fly_s, heel_down_s, gait.heel * one_foot)
-        turn = 0.5 * (self.feet[LEFT].end[2] + self.feet[RIGHT].end[2])
+        self.lift.add(up, down, gait.clearance * one_foot, raised)
+        self._roll_foot(side, gait, up, down)
+        early = _TURN_OVERLAP * gait.step_s
         trunk = self.trunk.end.copy()
-        trunk[0] = turn
-        self.trunk.move(start, down, trunk)
+        trunk[0] = 0.5 * (self.feet[LEFT].end[2] + self.feet[RIGHT].end[2])
+        self.trunk.move(start - early, down + early, trunk)
         self.trunk.bump(up, down, [0.0, 0.0, -0.02 * _OUTWARD[side]])
         self.height.bump(up - 0.5 * shift_s, down, gait.bob)
         self.time_s = down
 
-    def walk(self, gait: Gait, steps: int, first: int | None = None) -> None:
-        """Start, walk ``steps`` steps and close the feet; at rest before and after.
-
-        Args:
-            gait: the walk.
-            steps: number of steps before the closing one.
-            first: the foot that starts; by default the one on the inside.
-        """
-        drift = gait.sideways if gait.sideways else gait.turn
-        if first is None:
-            first = int(self.rng.integers(2)) if drift == 0 else int(drift < 0)
-        body = self.body.copy()
-        for index in range(steps + 1):
-            side = first if index % 2 == 0 else 1 - first
-            ramp = 0.6 if index == 0 or index == steps - 1 else 1.0
-            leads = float(index % 2 == 0 and index < steps)
-            forward = ramp * gait.forward if index < steps else 0.0
-            body[2] += 0.5 * leads * gait.turn
-            body[:2] += _rotated((forward, leads * gait.sideways), body[2])
-            body[2] += 0.5 * leads * gait.turn
-            shift_s = 0.5 if index == 0 else gait.shift_s
-            self.step(side, body, gait, shift_s)
-        self.body = body
-        self.settle()
+    def _roll_foot(self, side: int, gait: Gait, up: float, down: float) -> None:
+        """Pitch of the swinging foot: off the toes, through the air, onto the heel."""
+        swing_s, one_foot = down - up, np.eye(2)[side]
+        self.pitch.bump(
+            up + _QUIET * swing_s, up + 0.75 * swing_s, gait.heel * one_foot
+        )
+        if gait.toe_off == 0.0 and gait.strike == 0.0:
+            return
+        leave = 0.5 * gait.shift_s
+        self.pitch.add(
+            up - leave, up + 0.3 * swing_s, gait.toe_off * one_foot, minimum_jerk
+        )
+        change = -(gait.toe_off + gait.strike)
+        self.pitch.add(up + 0.1 * swing_s, down, change * one_foot, minimum_jerk)
+        self.pitch.add(
+            down, down + 0.6 * gait.shift_s, gait.strike * one_foot, minimum_jerk
+        )
 
     def lean(self, pitch: float, start_s: float, end_s: float) -> None:
         """Bend the trunk forward by ``pitch`` in all, at the hip and at the waist."""
@@ -200,51 +206,6 @@ class Choreography:
         waist = self.waist.end.copy()
         waist[2] = 0.4 * pitch
         self.waist.move(start_s, end_s, waist)
-
-    def jump(
-        self, rise: float, crouch: float, forward: float, tuck: float, lean: float
-    ) -> None:
-        """Crouch, push off with both feet, fly, land and stand up.
-
-        Args:
-            rise: metres that the centre of mass flies up.
-            crouch: metres that it sinks before.
-            forward: metres between take-off and landing.
-            tuck: metres that the feet rise.
-            lean: radians that the trunk leans forward when crouching.
-        """
-        top = float(self.height.end[0])
-        speed = math.sqrt(2.0 * GRAVITY * rise)
-        flight_s = round(2.0 * speed / GRAVITY * FPS) / FPS
-        speed = 0.5 * GRAVITY * flight_s
-        push = crouch - 0.02
-        push_s = round(2.2 * push / speed * FPS) / FPS
-        sink_s, rest_s = 0.6, 0.9
-        self.height.move(self.time_s, self.time_s + sink_s, top - crouch)
-        self.lean(lean, self.time_s, self.time_s + sink_s)
-        self.time_s += sink_s
-        off = self.time_s + push_s
-        land = off + flight_s
-        leave = _push_off(push, speed, push_s)
-        self.height.add(
-            self.time_s, land + push_s, 1.0,
-            lambda phase: _jump_height(
-                phase * (2 * push_s + flight_s), leave, push_s, flight_s
-            ),
-        )  # fmt: skip
-        self.lift.bump(off, land, tuck)
-        self.lean(0.3 * lean, self.time_s, off)
-        self.lean(lean, land, land + push_s)
-        self.body[0] += forward
-        for side in (LEFT, RIGHT):
-            target = self.feet[side].end + np.array([forward, 0.0, 0.0])
-            swing = 0.12 * flight_s
-            self.feet[side].move(off + swing, land - swing, target)
-        self.zmp.move(off, land, self._between())
-        self.time_s = land + push_s
-        self.height.move(self.time_s, self.time_s + rest_s, top)
-        self.lean(0.0, self.time_s, self.time_s + rest_s)
-        self.time_s += rest_s
 
     def plan(self) -> Plan:
         """Sample all tracks at 50 frames per second."""
@@ -274,31 +235,3 @@ class Choreography:
             trunk=trunk,
             upper_joints=np.clip(upper, lower, upper_limit),
         )
-
-
-def _push_off(distance: float, speed: float, seconds: float) -> np.ndarray:
-    """Quintic coefficients (6,), highest power first, of the push-off.
-
-    From rest without acceleration to ``speed`` at ``distance``, where the ground's
-    force has gone to zero (acceleration -g).
-    """
-    powers = np.arange(6)
-    end = seconds**powers
-    speed_row = np.concatenate(([0.0], powers[1:] * seconds ** (powers[1:] - 1)))
-    accel_row = np.concatenate(
-        ([0.0, 0.0], powers[2:] * (powers[2:] - 1) * seconds ** (powers[2:] - 2))
-    )
-    rows = [np.eye(6)[0], np.eye(6)[1], np.eye(6)[2], end, speed_row, accel_row]
-    ends = np.array([0, 0, 0, distance, speed, -GRAVITY])
-    return np.linalg.solve(np.array(rows), ends)[::-1]
-
-
-def _jump_height(
-    time_s: np.ndarray, leave: np.ndarray, push_s: float, flight_s: float
-) -> np.ndarray:
-    """Height above the crouch: push-off, parabola, and the push-off backwards."""
-    total = 2.0 * push_s + flight_s
-    mirrored = np.minimum(time_s, total - time_s)
-    push = np.polyval(leave, np.clip(mirrored, 0.0, push_s))
-    airborne = np.clip(mirrored - push_s, 0.0, None)
-    return push + 0.5 * GRAVITY * airborne * (flight_s - airborne)

@@ -55,6 +55,20 @@ def touching(qpos: np.ndarray) -> np.ndarray:
     return result
 
 
+def deepest_overlap(qpos: np.ndarray) -> float:
+    """Metres by which two body parts overlap at worst in ``qpos (T, 36)``."""
+    model, _ = _model()
+    data = mujoco.MjData(model)
+    deepest = 0.0
+    for row in qpos:
+        data.qpos[:] = row
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_collision(model, data)
+        if data.ncon:
+            deepest = max(deepest, -float(data.contact.dist.min()))
+    return deepest
+
+
 def spread(qpos: np.ndarray) -> np.ndarray:
     """Outward shoulder rolls ``(T, 2)``, radians, that keep the arms clear.
 

@@ -14,20 +14,28 @@ import numpy as np
 
 from openclone.errors import InputError
 from openclone.motion.clip import CATEGORIES, Clip, ClipInfo, clip_from_qpos
-from openclone.motion.sources import gestures
-from openclone.motion.sources.choreography import FPS, Choreography, Gait
-from openclone.motion.sources.elbow_room import LEFT_ROLL, RIGHT_ROLL, spread
+from openclone.motion.sources import gestures, locomotion
+from openclone.motion.sources.choreography import FPS, Choreography
+from openclone.motion.sources.elbow_room import (
+    LEFT_ROLL,
+    RIGHT_ROLL,
+    deepest_overlap,
+    spread,
+)
+from openclone.motion.sources.jumping import jump
 from openclone.motion.sources.track import oscillation
 from openclone.motion.sources.whole_body import Plan, Unreachable, solve
 from openclone.robot import g1
 
 LICENCE = "Apache-2.0, made by OpenClone"
 _SHARES = {
-    "stand": 1.2, "forward": 1.6, "backward": 1.0, "stepside": 1.0, "turn": 1.4,
+    "stand": 1.0, "forward": 1.4, "backward": 1.4, "stepside": 1.1, "turn": 2.2,
     "squat": 1.0, "crouchwalk": 0.8, "jump": 0.5, "punch": 0.8, "wave": 0.8,
     "reach": 0.8, "pickup": 0.8, "transition": 1.6,
 }  # fmt: skip
 """How many clips of each category a default set holds, relative to each other."""
+_MAX_OVERLAP = 0.005
+"""Metres; a motion whose body parts overlap more is drawn anew."""
 _SHORTEST_S, _LONGEST_S = 4.2, 12.0
 _MEAN_CLIP_S = 8.0
 
@@ -63,36 +71,6 @@ def _finish(score: Choreography) -> None:
             track.add(0.0, end_s, amount, oscillation(cycles))
 
 
-def _walk(score: Choreography, gait: Gait, steps: int, height: float) -> None:
-    """Sink to walking height, walk, and straighten up again."""
-    upright = float(score.height.end[0])
-    score.change_height(height, 0.5)
-    score.walk(gait, steps)
-    score.time_s -= 0.5
-    score.change_height(upright, 0.9)
-    score.hold(0.7)
-
-
-def _gait(rng: np.random.Generator, speed: float) -> tuple[Gait, float]:
-    """A straight gait at ``speed`` m/s (negative: backward) and its pelvis height."""
-    step_s = float(np.clip(0.64 - 0.13 * abs(speed) + rng.normal(0, 0.02), 0.48, 0.7))
-    gait = Gait(
-        forward=speed * step_s,
-        step_s=step_s,
-        shift_s=step_s * (rng.uniform(0.24, 0.3) - 0.06 * abs(speed)),
-        clearance=rng.uniform(0.04, 0.065),
-        heel=max(speed, 0.0) * rng.uniform(0.15, 0.4),
-        bob=rng.uniform(0.003, 0.01),
-    )
-    height = 0.77 - 0.3 * gait.forward**2 - rng.uniform(0.0, 0.025)
-    return gait, height
-
-
-def _steps(rng: np.random.Generator, gait: Gait) -> int:
-    """Number of steps that fills 2.5 to 6 seconds."""
-    return round(rng.uniform(2.5, 6.0) / gait.step_s)
-
-
 def _stand(score: Choreography) -> None:
     rng = score.rng
     for _ in range(int(rng.integers(1, 4))):
@@ -112,47 +90,6 @@ def _stand(score: Choreography) -> None:
         score.hold(seconds)
     score.lean(0.0, score.time_s, score.time_s + 1.0)
     score.settle(1.0)
-
-
-def _forward(score: Choreography) -> None:
-    speed = score.rng.uniform(0.2, 0.9)
-    gait, height = _gait(score.rng, speed)
-    score.lean(0.08 * speed, score.time_s, score.time_s + 0.8)
-    _walk(score, gait, _steps(score.rng, gait), height)
-
-
-def _backward(score: Choreography) -> None:
-    gait, height = _gait(score.rng, -score.rng.uniform(0.15, 0.5))
-    _walk(score, gait, _steps(score.rng, gait), height)
-
-
-def _stepside(score: Choreography) -> None:
-    rng = score.rng
-    gait = Gait(
-        sideways=rng.uniform(0.07, 0.12) * rng.choice([-1.0, 1.0]),
-        step_s=rng.uniform(0.45, 0.62),
-        shift_s=rng.uniform(0.14, 0.2),
-        clearance=rng.uniform(0.035, 0.06),
-    )
-    # An even number of steps: the trailing foot has closed up.
-    _walk(score, gait, 2 * (_steps(rng, gait) // 2), rng.uniform(0.70, 0.735))
-
-
-def _turn(score: Choreography) -> None:
-    rng = score.rng
-    sign = rng.choice([-1.0, 1.0])
-    if rng.uniform() < 0.5:
-        gait = Gait(
-            turn=sign * rng.uniform(0.25, 0.6),
-            step_s=rng.uniform(0.48, 0.62),
-            shift_s=rng.uniform(0.14, 0.2),
-            clearance=rng.uniform(0.035, 0.055),
-        )
-        height = rng.uniform(0.71, 0.74)
-    else:
-        straight, height = _gait(rng, rng.uniform(0.2, 0.6))
-        gait = replace(straight, turn=sign * rng.uniform(0.12, 0.4))
-    _walk(score, gait, 2 * (_steps(rng, gait) // 2), height)
 
 
 def _squat(score: Choreography) -> None:
@@ -183,25 +120,6 @@ def _crouch(score: Choreography, height: float, seconds: float) -> None:
     score.lean(0.75 * float(depth) ** 0.6, score.time_s, score.time_s + seconds)
 
 
-def _crouchwalk(score: Choreography) -> None:
-    rng = score.rng
-    upright = float(score.height.end[0])
-    low, lean = rng.uniform(0.6, 0.67), rng.uniform(0.45, 0.65)
-    score.change_height(low, 1.2)
-    score.lean(lean, score.time_s, score.time_s + 1.2)
-    before = score.arms.end.copy()
-    arms = gestures.hang_leaning(before, lean)
-    score.arms.move(score.time_s, score.time_s + 1.2, arms)
-    score.hold(1.0)
-    gait, _ = _gait(rng, rng.uniform(0.12, 0.35))
-    gait = replace(gait, heel=rng.uniform(0.3, 0.5))
-    score.walk(gait, _steps(rng, gait))
-    score.change_height(upright, 1.3)
-    score.lean(0.0, score.time_s, score.time_s + 1.3)
-    score.arms.move(score.time_s, score.time_s + 1.3, before)
-    score.hold(1.3)
-
-
 def _jump(score: Choreography) -> None:
     rng = score.rng
     for _ in range(int(rng.integers(1, 3))):
@@ -218,7 +136,8 @@ def _jump_once(score: Choreography) -> None:
     score.arms.move(start_s, start_s + 0.6, before + back)
     score.arms.move(start_s + 0.6, start_s + 1.0, before - 1.5 * back)
     score.arms.move(start_s + 1.1, start_s + 1.9, before)
-    score.jump(
+    jump(
+        score,
         rng.uniform(0.04, 0.07),
         rng.uniform(0.13, 0.17),
         rng.choice([0.0, 0.0, 0.1]),
@@ -292,7 +211,13 @@ def _pickup(score: Choreography) -> None:
 
 def _transition(score: Choreography) -> None:
     rng = score.rng
-    parts = (_forward, _turn, _stepside, _wave, _squat, _backward, _reach)
+    if rng.uniform() < 0.5:
+        locomotion.wander(score)
+        return
+    parts = (
+        locomotion.forward, locomotion.turn, locomotion.stepside, _wave, _squat,
+        locomotion.backward, _reach,
+    )  # fmt: skip
     chosen = rng.choice(len(parts), size=2, replace=False)
     for index in chosen:
         parts[index](score)
@@ -300,9 +225,9 @@ def _transition(score: Choreography) -> None:
 
 
 _CHOREOGRAPHIES: dict[str, Callable[[Choreography], None]] = {
-    "stand": _stand, "forward": _forward, "backward": _backward,
-    "stepside": _stepside, "turn": _turn, "squat": _squat,
-    "crouchwalk": _crouchwalk, "jump": _jump, "punch": _punch, "wave": _wave,
+    "stand": _stand, "forward": locomotion.forward, "backward": locomotion.backward,
+    "stepside": locomotion.stepside, "turn": locomotion.turn, "squat": _squat,
+    "crouchwalk": locomotion.crouchwalk, "jump": _jump, "punch": _punch, "wave": _wave,
     "reach": _reach, "pickup": _pickup, "transition": _transition,
 }  # fmt: skip
 
@@ -346,7 +271,7 @@ def generate(category: str, rng: np.random.Generator, name: str = "") -> Clip:
     while True:
         if category == "jump":
             score = _start(rng, ballistic=True, height=rng.uniform(0.67, 0.68))
-        elif category in ("stepside", "crouchwalk"):
+        elif category == "crouchwalk":
             score = _start(rng, width=rng.uniform(0.185, 0.21))
         else:
             score = _start(rng)
@@ -355,9 +280,11 @@ def generate(category: str, rng: np.random.Generator, name: str = "") -> Clip:
         if score.time_s > _LONGEST_S:
             continue
         try:
-            return clip_from_qpos(info, _solve_clear(score.plan()))
+            qpos = _solve_clear(score.plan())
         except Unreachable:
             continue  # The chosen step is too long for the chosen height: draw again.
+        if deepest_overlap(qpos[::2]) < _MAX_OVERLAP:
+            return clip_from_qpos(info, qpos)
 
 
 def default_set(seed: int, minutes: float = 10.0) -> list[Clip]:

@@ -28,6 +28,11 @@ def there_and_back(phase: np.ndarray) -> np.ndarray:
     return minimum_jerk(phase / 0.48) - minimum_jerk((phase - 0.52) / 0.48)
 
 
+def raised(phase: np.ndarray) -> np.ndarray:
+    """Like `there_and_back` with a longer stay: up and down take 0.42 each."""
+    return minimum_jerk(phase / 0.42) - minimum_jerk((phase - 0.58) / 0.42)
+
+
 def oscillation(cycles: float) -> Shape:
     """A sine of ``cycles`` periods that swells and fades."""
 

@@ -22,7 +22,7 @@ from scipy.linalg import solve_banded
 
 from openclone.motion.sources.serial_chain import SerialChain
 from openclone.robot import g1
-from openclone.robot.model import SOLE_CORNERS, build_model
+from openclone.robot.model import SOLE_CORNERS, SOLE_Z, build_model
 from openclone.spatial import rotations
 
 GRAVITY = 9.81
@@ -30,11 +30,15 @@ _PADDING_S = 1.5
 """Seconds of rest added at both ends while solving, so that clips start at rest."""
 _CORRECTION_LIMIT = 0.2
 """Metres; the largest change that the feedback of the dynamics makes to p."""
+_MAX_ZMP_ERROR = 0.06
+"""Metres that the zero-moment point may finally miss the planned one, in x or y."""
 _MIN_LOAD_N = 100.0
 """Newtons, a third of the weight; with less the zero-moment point means nothing."""
 _COM_GAIN = 1.3
 """Metres of pelvis per metre of centre of mass: the feet stay where they are."""
-_MARGIN = 0.04
+_ROUNDING = 0.25
+"""Radius of the rounding of the sole's edges in the air, per metre of lift."""
+_MARGIN = 0.032
 """Radians that every leg joint keeps from its limits."""
 
 
@@ -44,7 +48,7 @@ class Plan:
 
     Attributes:
         fps: frames per second.
-        foot_xy: (T, 2, 2), metres, world: ankles of the left and right foot.
+        foot_xy: (T, 2, 2), metres, world: ankles of the left and right foot, flat.
         foot_yaw, foot_pitch: (T, 2), radians.
         foot_lift: (T, 2), metres: lowest point of the sole above the ground.
         zmp: (T, 2), metres, world.
@@ -72,6 +76,10 @@ class Unreachable(Exception):
 
 class TooFar(Unreachable):
     """The legs are too short; a lower pelvis helps."""
+
+
+class Unbalanced(Unreachable):
+    """The body's own swing moves the zero-moment point too far from the plan."""
 
 
 @cache
@@ -155,12 +163,27 @@ def zero_moment_point(qpos: np.ndarray, fps: float) -> np.ndarray:
 
 
 def _foot_targets(plan: Plan, side: int) -> tuple[np.ndarray, np.ndarray]:
-    """Ankle positions ``(T, 3)`` and rotations ``(T, 3, 3)``, world."""
-    angles = np.stack((plan.foot_yaw[:, side], plan.foot_pitch[:, side]), 1)
+    """Ankle positions ``(T, 3)`` and rotations ``(T, 3, 3)``, world.
+
+    A pitched foot pivots about the edge of its sole that is lower, which stays where
+    it was on the flat foot: rolling onto the toes or off the heel slides nothing.
+    """
+    pitch, lift = plan.foot_pitch[:, side], plan.foot_lift[:, side]
+    angles = np.stack((plan.foot_yaw[:, side], pitch), 1)
     rotation = rotations.to_matrix(rotations.from_euler(angles, "ZY"))
-    lowest = np.min((SOLE_CORNERS @ rotation.swapaxes(1, 2))[..., 2], axis=1)
-    height = plan.foot_lift[:, side] - lowest
-    return np.column_stack((plan.foot_xy[:, side], height)), rotation
+    toe, heel = SOLE_CORNERS[:, 0].max(), SOLE_CORNERS[:, 0].min()
+    sine, cosine = np.sin(pitch), np.cos(pitch)
+    # Depth of the lower edge below the ankle. In the air the change from toe to heel
+    # is rounded, or the ankle would jerk when the foot passes through the level.
+    sway = 0.5 * (toe - heel) * sine
+    rounded = np.sqrt(sway**2 + (_ROUNDING * lift) ** 2) - _ROUNDING * lift
+    depth = 0.5 * (toe + heel) * sine + rounded - SOLE_Z * cosine
+    pivot = np.where(pitch > 0, toe, heel)
+    ahead = pivot - (cosine * pivot + sine * SOLE_Z)
+    yaw = plan.foot_yaw[:, side]
+    forward = np.stack((np.cos(yaw), np.sin(yaw)), 1)
+    xy = plan.foot_xy[:, side] + ahead[:, None] * forward
+    return np.column_stack((xy, lift + depth)), rotation
 
 
 def _solve_legs(plan: Plan, root: np.ndarray, start: np.ndarray) -> np.ndarray:
@@ -247,6 +270,9 @@ def _solve(plan: Plan) -> np.ndarray:
         com_xy = com_from_zmp(reference, height, force, plan.fps)
         qpos = _follow_com(plan, com_xy, qpos, 2)
     _check_legs(qpos, _MARGIN)
+    error = np.nan_to_num(plan.zmp - zero_moment_point(qpos, plan.fps))
+    if np.abs(error).max() > _MAX_ZMP_ERROR:
+        raise Unbalanced
     return qpos
 
 
