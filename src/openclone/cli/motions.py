@@ -1,4 +1,4 @@
-"""Commands that make and describe motions: motions ..."""
+"""Commands that make motions: motions synthesize, motions retarget."""
 
 from __future__ import annotations
 
@@ -67,15 +67,3 @@ def motions_retarget(
     clip, quality = retarget(motion, info)
     save_clip(clip, out / file_name(clip))
     print(f"{out / file_name(clip)}: {clip.seconds:.1f} s, {quality}")
-
-
-def motions_inspect(clip: Path, /) -> None:
-    """Describe a clip file: length, path, heights, and what looks wrong.
-
-    Args:
-        clip: the .npz file.
-    """
-    from openclone.motion.clip import load_clip
-    from openclone.motion.summary import summarize
-
-    print(summarize(load_clip(clip)))

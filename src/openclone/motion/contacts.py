@@ -74,38 +74,6 @@ def ground_level(motion: HumanMotion, joint: str) -> float:
     return min(levels)
 
 
-_FLIGHT_S = 1.2
-"""Seconds; no jump is longer, so what stays up for longer stands on something."""
-
-
-def _opened(values: np.ndarray, frames: int) -> np.ndarray:
-    """``values (T,)`` without peaks narrower than ``2 frames + 1``; slopes stay."""
-    frames = min(frames, (len(values) - 1) // 2)
-    for best in (np.min, np.max):
-        padded = np.pad(values, frames, mode="edge")
-        values = best(
-            np.lib.stride_tricks.sliding_window_view(padded, 2 * frames + 1), axis=1
-        )
-    return values
-
-
-def on_level_ground(motion: HumanMotion) -> HumanMotion:
-    """The same motion with the ground's slow ups and downs taken out.
-
-    Marker systems that are not levelled, and bodies that are fitted to markers, let
-    the ground rise and sink by several centimetres along a path. The ground is where
-    the lower foot goes down to, again and again.
-    """
-    toes = np.min([motion.joint(f"{side}_toe")[:, 2] for side in SIDES], axis=0)
-    ground = _opened(toes, round(0.5 * _FLIGHT_S * motion.fps))
-    ground = smooth(ground, 0.2 * motion.fps)
-    shift = ground - np.median(ground)
-    return replace(
-        motion,
-        positions=motion.positions - shift[:, None, None] * np.array([0.0, 0.0, 1.0]),
-    )
-
-
 def _without_short_runs(mask: np.ndarray, frames: int) -> np.ndarray:
     """Flip runs shorter than ``frames``: first the gaps, then the stances."""
     out = mask.copy()

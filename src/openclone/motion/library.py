@@ -8,24 +8,31 @@ as clip files in a cache.
 from __future__ import annotations
 
 import csv
-import hashlib
 import os
+import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING
 
 from openclone.errors import InputError
-from openclone.motion.clip import CATEGORIES, Clip, ClipInfo, load_clip, save_clip
+from openclone.motion.batch import (
+    Job,
+    Outcome,
+    available_workers,
+    digest_of,
+    run_jobs,
+)
+from openclone.motion.clip import CATEGORIES, Clip, ClipInfo, load_clip
+from openclone.motion.quality import Gate, faults
 from openclone.motion.skeleton import HumanMotion
 from openclone.motion.sources import asf_amc, bvh, deepmimic
-
-if TYPE_CHECKING:
-    from openclone.motion.retarget import Solver
+from openclone.motion.targets import FPS
 
 MANIFEST = "manifest.tsv"
 COLUMNS = ("split", "category", "path", "format", "seconds", "licence")
 MAX_ROWS = 100_000
+_GATE = Gate(min_seconds=0.0)
+"""A manifest may list short recordings on purpose."""
 _READERS: dict[str, Callable[[Path], HumanMotion]] = {
     ".bvh": bvh.read,
     ".amc": asf_amc.read,
@@ -71,6 +78,11 @@ def read_recording(path: Path) -> HumanMotion:
             remedy="use .bvh, .amc (with its .asf beside it) or DeepMimic's .txt",
         )
     return reader(path)
+
+
+def suffixes() -> tuple[str, ...]:
+    """Lower-case suffixes of files that may hold a motion."""
+    return (*dict.fromkeys((*_READERS, ".npz")),)
 
 
 def _entry(row: dict[str, str | None], root: Path, where: str) -> Entry:
@@ -166,57 +178,63 @@ def _check_categories(
             )
 
 
-def _cache_path(entry: Entry, cache: Path) -> Path:
-    """Name of the cached clip: content of the recording and version of the method."""
+def job_of(entry: Entry, cache: Path) -> Job:
+    """What `batch.run_jobs` is to do for ``entry``.
+
+    Raises:
+        InputError: a file is missing.
+    """
     from openclone.motion.retarget import VERSION
 
-    digest = hashlib.sha256(f"{VERSION}\n".encode())
     files = [entry.path]
     if entry.path.suffix.lower() == ".amc":
         files.append(asf_amc.skeleton_path(entry.path))
-    for file in files:
-        if not file.is_file():
-            raise InputError(
-                "no such file", where=str(file), remedy="correct the manifest"
-            )
-        digest.update(hashlib.sha256(file.read_bytes()).digest())
-    return cache / f"{digest.hexdigest()[:32]}.npz"
+    source = entry.name + entry.path.suffix
+    info = ClipInfo(entry.name, entry.category, source, entry.licence, FPS)
+    ready = is_clip(entry.path)
+    digest = digest_of(files, "clip" if ready else str(VERSION))
+    return Job(info, entry.path, cache / digest, ready)
 
 
-def _cached(path: Path) -> Clip | None:
-    """The clip at ``path``; None if there is none or it is damaged."""
-    try:
-        return load_clip(path) if path.is_file() else None
-    except InputError:
-        return None
+def is_clip(path: Path) -> bool:
+    """Whether the file is a clip of the G1 rather than a recording of a human."""
+    if path.suffix != ".npz" or not zipfile.is_zipfile(path):
+        return False
+    with zipfile.ZipFile(path) as archive:
+        return {"metadata.npy", "joint_angles.npy"} <= set(archive.namelist())
 
 
 def _load_entries(
-    entries: list[Entry], cache: Path, report: Callable[[str], None]
+    entries: list[Entry], cache: Path, report: Callable[[str], None], workers: int
 ) -> list[Clip]:
-    from openclone.motion.retarget import CannotFollowError, Solver, retarget
+    recordings = [entry for entry in entries if not is_clip(entry.path)]
+    count = 0
 
+    def tell(outcome: Outcome) -> None:
+        nonlocal count
+        count += 1
+        name = f"[{count}/{len(recordings)}] {outcome.job.info.name}"
+        if outcome.error:
+            raise InputError(outcome.error)
+        reasons = faults(outcome.quality, _GATE) if outcome.quality else ()
+        if reasons:
+            report(f"{name} left out: {'; '.join(reasons)}")
+        elif outcome.fresh:
+            report(f"{name}: {outcome.quality}")
+
+    jobs = [job_of(entry, cache) for entry in recordings]
+    outcomes = run_jobs(jobs, workers, tell)
+    made = {outcome.job.info.name: outcome for outcome in outcomes}
     clips: list[Clip] = []
-    solver: Solver | None = None
-    for number, entry in enumerate(entries, 1):
-        source = entry.name + entry.path.suffix
-        info = ClipInfo(entry.name, entry.category, source, entry.licence, 50.0)
-        if entry.path.suffix == ".npz":
+    for entry in entries:
+        outcome = made.get(entry.name)
+        if outcome is None:
             clip = load_clip(entry.path)
-            clips.append(replace(clip, info=replace(info, fps=clip.info.fps)))
-            continue
-        path = _cache_path(entry, cache)
-        clip = _cached(path)
-        if clip is None:
-            solver = solver or Solver()
-            try:
-                clip, quality = retarget(read_recording(entry.path), info, solver)
-            except CannotFollowError as error:
-                report(f"[{number}/{len(entries)}] left out: {error}")
-                continue
-            save_clip(clip, path)
-            report(f"[{number}/{len(entries)}] {entry.name}: {quality}")
-        clips.append(replace(clip, info=info))
+            given = {"category": entry.category, "licence": entry.licence}
+            clips.append(replace(clip, info=replace(clip.info, **given)))
+        elif outcome.quality is not None and not faults(outcome.quality, _GATE):
+            clip = load_clip(outcome.clip_path)
+            clips.append(replace(clip, info=outcome.job.info))
     return clips
 
 
@@ -250,15 +268,19 @@ def load_clips(
     categories: tuple[str, ...] | None,
     cache: Path,
     report: Callable[[str], None],
+    workers: int | None = None,
 ) -> list[Clip]:
     """Load the motions of one split as clips of the G1.
+
+    Recordings that do not pass the gate of `quality` are left out and reported.
 
     Args:
         root: folder with a manifest, or with clip files (``<split>/*.npz``, ``*.npz``).
         split: e.g. ``"train"``.
         categories: only these; None for all.
         cache: folder that keeps the retargeted clips.
-        report: receives a line per newly retargeted motion.
+        report: receives a line per motion that is new or left out.
+        workers: processes that retarget; None for one per core.
 
     Raises:
         InputError: a file is missing or malformed, or the split or a category unknown.
@@ -276,4 +298,4 @@ def load_clips(
     if not (root / MANIFEST).is_file():
         return _load_folder(root, split, categories)
     chosen = _choose(read_manifest(root), split, categories, str(root / MANIFEST))
-    return _load_entries(chosen, cache, report)
+    return _load_entries(chosen, cache, report, workers or available_workers())

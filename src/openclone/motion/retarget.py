@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import mink
-import mujoco
 import numpy as np
 
 from openclone.errors import InputError
 from openclone.motion.clip import Clip, ClipInfo, clip_from_qpos
+from openclone.motion.quality import ClipQuality, Gate, QualityMeter, faults
 from openclone.motion.skeleton import SIDES, HumanMotion
 from openclone.motion.skeleton import start_at_origin as motion_at_origin
 from openclone.motion.targets import FPS, RetargetConfig, Targets, make_targets
@@ -17,10 +17,8 @@ from openclone.robot import g1
 from openclone.robot.model import SOLE_CORNERS, build_model
 from openclone.spatial import rotations
 
-VERSION = 7
+VERSION = 8
 """Raise when the output changes: cached clips of older versions are made again."""
-MAX_ANKLE_MM, MAX_WRIST_MM = 15.0, 100.0
-"""Mean distances from the targets above which a clip would not be the same motion."""
 
 _ARM = ("elbow_yaw", "wrist", "hand")
 _ARM_JOINTS = slice(15, g1.NUM_JOINTS)
@@ -31,37 +29,6 @@ _LEG = ("hip", "thigh", "shin")
 
 class CannotFollowError(InputError):
     """A sound recording of a motion that the robot cannot make."""
-
-
-@dataclass(frozen=True)
-class RetargetQuality:
-    """How good a retargeted clip is.
-
-    Attributes:
-        ankle_mm, wrist_mm: mean distance of ankles and wrists from their targets.
-        slide_cm_s: mean horizontal speed of standing feet.
-        ground_share: share of frames with a sole more than 5 mm below the ground.
-        self_share: share of frames with links more than 5 mm inside each other.
-        limit_share: share of frames with a joint at its limit (within 0.01 rad).
-        peak_speed: highest joint speed, rad/s.
-    """
-
-    ankle_mm: float
-    wrist_mm: float
-    slide_cm_s: float
-    ground_share: float
-    self_share: float
-    limit_share: float
-    peak_speed: float
-
-    def __str__(self) -> str:
-        """One line for people."""
-        return (
-            f"ankles {self.ankle_mm:.0f} mm, wrists {self.wrist_mm:.0f} mm, "
-            f"slide {self.slide_cm_s:.1f} cm/s, ground {self.ground_share:.1%}, "
-            f"self {self.self_share:.1%}, limits {self.limit_share:.0%}, "
-            f"peak {self.peak_speed:.1f} rad/s"
-        )
 
 
 _Weight = float | tuple[float, float, float]
@@ -133,6 +100,7 @@ class Solver:
     def __init__(self, config: RetargetConfig | None = None) -> None:
         self.config = config or RetargetConfig()
         self.model = build_model(floor=False, self_collision=True)
+        self.meter = QualityMeter()
         self._configuration = mink.Configuration(self.model)
         self._tasks = {
             link: mink.FrameTask(link, "body", *costs, lm_damping=0.01)
@@ -225,63 +193,36 @@ def start_at_origin(qpos: np.ndarray) -> np.ndarray:
     return out
 
 
-def measure(
-    model: mujoco.MjModel, qpos: np.ndarray, targets: Targets
-) -> RetargetQuality:
-    """Quality of ``qpos (T, 36)`` against ``targets``, in their common world."""
-    data = mujoco.MjData(model)
-    feet = [model.body(f"{side}_ankle_roll_link").id for side in SIDES]
-    wrists = [model.body(f"{side}_wrist_yaw_link").id for side in SIDES]
-    frames = len(qpos)
-    foot, wrist = np.empty((frames, 2, 3)), np.empty((frames, 2, 3))
-    sole, inside = np.empty(frames), np.zeros(frames, dtype=bool)
-    for frame in range(frames):
-        data.qpos[:] = qpos[frame]
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_collision(model, data)
-        foot[frame], wrist[frame] = data.xpos[feet], data.xpos[wrists]
-        corners = [data.xmat[f].reshape(3, 3)[2] @ SOLE_CORNERS.T for f in feet]
-        sole[frame] = (np.array(corners) + data.xpos[feet, 2][:, None]).min()
-        inside[frame] = data.ncon > 0 and data.contact.dist.min() < -0.005
-    stands = targets.contact[1:] & targets.contact[:-1]
-    speed = np.linalg.norm(np.diff(foot[..., :2], axis=0), axis=-1) * FPS
-    joints = qpos[:, 7:]
-    at_limit = (joints < g1.JOINT_LOWER + 0.01) | (joints > g1.JOINT_UPPER - 0.01)
-
-    def residual(found: np.ndarray, link: str) -> float:
-        wanted = [targets.position[f"{side}_{link}"] for side in SIDES]
-        return 1e3 * float(np.linalg.norm(found - np.stack(wanted, 1), axis=-1).mean())
-
-    return RetargetQuality(
-        ankle_mm=residual(foot, "ankle_roll_link"),
-        wrist_mm=residual(wrist, "wrist_yaw_link"),
-        slide_cm_s=100 * float(speed[stands].mean()) if stands.any() else 0.0,
-        ground_share=float((sole < -0.005).mean()),
-        self_share=float(inside.mean()),
-        limit_share=float(at_limit.any(1).mean()),
-        peak_speed=float(np.abs(np.diff(joints, axis=0)).max() * FPS),
-    )
-
-
-def retarget(
+def follow(
     motion: HumanMotion, info: ClipInfo, solver: Solver | None = None
-) -> tuple[Clip, RetargetQuality]:
-    """Make a G1 clip at 50 frames per second of a recording.
+) -> tuple[Clip, ClipQuality]:
+    """Make a G1 clip at 50 frames per second of a recording, however bad it gets.
 
     The clip starts above the origin, heading along +X.
-
-    Raises:
-        CannotFollowError: the robot cannot make this motion.
     """
     solver = solver or Solver()
     targets = make_targets(motion_at_origin(motion.resampled(FPS)), solver.config)
     qpos = solver.track(targets)
-    quality = measure(solver.model, qpos, targets)
-    if quality.ankle_mm > MAX_ANKLE_MM or quality.wrist_mm > MAX_WRIST_MM:
+    quality = solver.meter.measure(qpos, FPS, targets)
+    clip = clip_from_qpos(replace(info, fps=FPS), start_at_origin(qpos))
+    return clip, quality
+
+
+def retarget(
+    motion: HumanMotion, info: ClipInfo, solver: Solver | None = None
+) -> tuple[Clip, ClipQuality]:
+    """As `follow`, but refuse what does not pass the gate.
+
+    Raises:
+        CannotFollowError: the robot cannot make this motion; the message says why.
+    """
+    clip, quality = follow(motion, info, solver)
+    # A short recording may still be asked for by name.
+    reasons = faults(quality, Gate(min_seconds=0.0))
+    if reasons:
         raise CannotFollowError(
-            f"the robot cannot follow it ({quality})",
+            f"the robot cannot follow it: {'; '.join(reasons)}",
             where=motion.name,
             remedy="leave this recording out",
         )
-    clip = clip_from_qpos(replace(info, fps=FPS), start_at_origin(qpos))
     return clip, quality

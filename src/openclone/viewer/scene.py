@@ -93,6 +93,11 @@ class RobotScene:
         )
         return frame
 
+    @property
+    def centre(self) -> np.ndarray:
+        """(3,), metres, world: the point that stands in the middle of the picture."""
+        return self._centre.copy()
+
     def update(
         self,
         qpos: np.ndarray,

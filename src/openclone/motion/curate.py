@@ -1,0 +1,264 @@
+"""Curation: from folders of recordings to a data set with nothing bad in it.
+
+The data set is a folder: ``<split>/*.npz``, a ``manifest.tsv`` that
+`library.load_clips` reads, ``rejects.tsv`` with the reason for each motion that was
+turned away, and ``build.json`` with the settings.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import json
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+
+from openclone.errors import InputError
+from openclone.motion import library, splits
+from openclone.motion.batch import Job, Outcome, available_workers, run_jobs
+from openclone.motion.clip import ClipInfo, clip_hash, load_clip, save_clip
+from openclone.motion.discover import Recording, discover
+from openclone.motion.quality import ClipQuality, Gate, faults
+from openclone.motion.retarget import VERSION
+
+BUILD_FILE, REJECTS = "build.json", "rejects.tsv"
+EXTRA_COLUMNS = ("source", "performance", "sha256", *ClipQuality.columns())
+"""Columns of the manifest after those that every manifest has."""
+
+
+@dataclass(frozen=True)
+class BuildConfig:
+    """Settings of a build.
+
+    Attributes:
+        seed: chooses the performances that are held out.
+        dev_share: share of each category's time that is held out.
+        keep_splits: leave the splits as the sources' manifests give them.
+        gate: what a clip must reach.
+    """
+
+    seed: int = 0
+    dev_share: float = 0.15
+    keep_splits: bool = False
+    gate: Gate = field(default_factory=Gate)
+
+
+@dataclass(frozen=True)
+class BuiltClip:
+    """One clip of the data set.
+
+    Attributes:
+        info: name, category, source, licence.
+        split: train or dev, or as the source says.
+        path: relative to the data set.
+        performance: what it is a take of.
+        sha256: of the clip file.
+        quality: its figures.
+    """
+
+    info: ClipInfo
+    split: str
+    path: str
+    performance: str
+    sha256: str
+    quality: ClipQuality
+
+
+@dataclass(frozen=True)
+class Reject:
+    """A motion that is not in the data set, and why.
+
+    Attributes:
+        info: name, category, source, licence.
+        reasons: at least one.
+        quality: its figures; None if it could not be read.
+    """
+
+    info: ClipInfo
+    reasons: tuple[str, ...]
+    quality: ClipQuality | None
+
+
+@dataclass(frozen=True)
+class Build:
+    """What a build made; ``digest`` names the motions, however they are stored."""
+
+    clips: tuple[BuiltClip, ...]
+    rejects: tuple[Reject, ...]
+    config: BuildConfig
+    digest: str
+
+    @property
+    def seconds(self) -> float:
+        """Duration of all clips."""
+        return sum(clip.quality.seconds for clip in self.clips)
+
+
+def build(
+    sources: Sequence[Path],
+    out: Path,
+    config: BuildConfig | None = None,
+    *,
+    cache: Path | None = None,
+    workers: int | None = None,
+    progress: Callable[[int, int, Outcome], None] = lambda done, total, outcome: None,
+    category: str = "",
+    licence: str = "unknown",
+) -> Build:
+    """Make a data set of the recordings and clips in ``sources``.
+
+    Args:
+        sources: recordings, clips, or folders of them, with or without a manifest.
+        out: the data set's folder; an earlier build in it is replaced.
+        config: settings.
+        cache: folder that keeps finished work; None for the user's.
+        workers: processes; None for one per core. The result does not depend on it.
+        progress: receives the number of motions done and to do, and each outcome.
+        category: of motions outside any manifest; empty to judge by their names.
+        licence: of motions outside any manifest.
+
+    Raises:
+        InputError: a source does not exist or a manifest is malformed.
+    """
+    config = config or BuildConfig()
+    cache = cache or library.default_cache()
+    found = discover(sources, category, licence)
+    jobs, rejects = _jobs(found, cache)
+    count = 0
+
+    def tell(outcome: Outcome) -> None:
+        nonlocal count
+        count += 1
+        progress(count, len(jobs), outcome)
+
+    outcomes = run_jobs(jobs, workers or available_workers(), tell)
+    accepted: list[Outcome] = []
+    for outcome in outcomes:
+        reasons = (outcome.error,)
+        if outcome.quality is not None:
+            reasons = faults(outcome.quality, config.gate)
+        if reasons:
+            rejects.append(Reject(outcome.job.info, reasons, outcome.quality))
+        else:
+            accepted.append(outcome)
+    recordings = {recording.name: recording for recording in found}
+    clips, digest = _store(accepted, recordings, out, config)
+    rejects.sort(key=lambda reject: reject.info.name)
+    made = Build(clips, tuple(rejects), config, digest)
+    _write_tables(made, out, sources)
+    return made
+
+
+def _jobs(found: list[Recording], cache: Path) -> tuple[list[Job], list[Reject]]:
+    """Work to be done; missing files and copies are turned away at once."""
+    jobs: list[Job] = []
+    rejects: list[Reject] = []
+    seen: dict[Path, str] = {}
+    for recording in found:
+        info = recording.info
+        try:
+            job = library.job_of(recording.entry, cache)
+        except InputError as error:
+            rejects.append(Reject(info, (str(error),), None))
+            continue
+        first = seen.setdefault(job.result, recording.name)
+        if first != recording.name:
+            rejects.append(Reject(info, (f"the same recording as {first}",), None))
+            continue
+        jobs.append(replace(job, info=info))
+    return jobs, rejects
+
+
+def _store(
+    accepted: list[Outcome],
+    recordings: dict[str, Recording],
+    out: Path,
+    config: BuildConfig,
+) -> tuple[tuple[BuiltClip, ...], str]:
+    """Write the clips into their splits; also returns the hash of their motions."""
+    takes = []
+    for outcome in accepted:
+        recording = recordings[outcome.job.info.name]
+        seconds = outcome.quality.seconds if outcome.quality else 0.0
+        takes.append(
+            splits.Take(
+                recording.name,
+                recording.performance,
+                recording.info.category,
+                seconds,
+                recording.entry.split,
+            )
+        )
+    if config.keep_splits:
+        sides = splits.keep(takes)
+    else:
+        sides = splits.assign(takes, config.seed, config.dev_share)
+    _remove_earlier(out)
+    built, motions = [], []
+    for outcome, take in zip(accepted, takes, strict=True):
+        clip = load_clip(outcome.clip_path)
+        given = outcome.job.info
+        clip = replace(clip, info=replace(given, fps=clip.info.fps))
+        split = sides[take.name]
+        relative = f"{split}/{take.name.replace('/', '__')}.npz"
+        save_clip(clip, out / relative)
+        sha256 = hashlib.sha256((out / relative).read_bytes()).hexdigest()
+        assert outcome.quality is not None
+        motions.append(clip)
+        built.append(
+            BuiltClip(
+                clip.info, split, relative, take.performance, sha256, outcome.quality
+            )
+        )
+    return tuple(sorted(built, key=lambda item: item.path)), clip_hash(motions)
+
+
+def _remove_earlier(out: Path) -> None:
+    """Delete the clips of an earlier build in ``out``, and nothing else."""
+    if not (out / BUILD_FILE).is_file() or not (out / library.MANIFEST).is_file():
+        return
+    for entry in library.read_manifest(out):
+        entry.path.unlink(missing_ok=True)
+
+
+def _write_tables(made: Build, out: Path, sources: Sequence[Path]) -> None:
+    out.mkdir(parents=True, exist_ok=True)
+    rows = [
+        (
+            clip.split, clip.info.category, clip.path, "clip",
+            f"{clip.quality.seconds:.2f}", clip.info.licence, clip.info.source,
+            clip.performance, clip.sha256, *clip.quality.cells(),
+        )
+        for clip in made.clips
+    ]  # fmt: skip
+    _write_tsv(out / library.MANIFEST, (*library.COLUMNS, *EXTRA_COLUMNS), rows)
+    refused = []
+    for reject in made.rejects:
+        about = reject.info
+        cells = (about.name, about.category, about.source, about.licence)
+        refused.append((*cells, "; ".join(reject.reasons)))
+    head = ("name", "category", "source", "licence", "reason")
+    _write_tsv(out / REJECTS, head, refused)
+    settings = {
+        "method": VERSION,
+        "motions": made.digest,
+        "clips": len(made.clips),
+        "rejects": len(made.rejects),
+        "seconds": round(made.seconds, 2),
+        "config": asdict(made.config),
+        "sources": [os.path.relpath(source, out) for source in sources],
+    }
+    text = json.dumps(settings, indent=2, allow_nan=False) + "\n"
+    (out / BUILD_FILE).write_text(text, encoding="utf-8")
+
+
+def _write_tsv(path: Path, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    with path.open("w", encoding="utf-8", newline="") as stream:
+        writer = csv.writer(
+            stream, delimiter="\t", quoting=csv.QUOTE_NONE, escapechar="\\",
+            lineterminator="\n",
+        )  # fmt: skip
+        writer.writerow(head)
+        writer.writerows([cell.replace("\t", " ") for cell in row] for row in rows)
