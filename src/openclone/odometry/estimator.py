@@ -1,0 +1,271 @@
+"""One scan through FAST-LIO2: propagate, undistort, match, update, map.
+
+Single-threaded and without any idea of streams; `fast_lio` feeds it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import Enum
+
+import numpy as np
+
+from openclone.odometry import manifold as m
+from openclone.odometry.filter import (
+    ImuNoise,
+    apply_step,
+    gauss_newton_step,
+    propagate,
+)
+from openclone.odometry.matching import OUTLIER, Evidence, MatchConfig, Matcher
+from openclone.odometry.scan import Scan, ScanConfig, Thinned, prepare
+from openclone.odometry.voxel_map import MapConfig, VoxelMap
+
+
+class Verdict(Enum):
+    """What became of a scan."""
+
+    GOOD = "good"
+    DOUBTFUL = "used, but not mapped: it fits badly"
+    UNMATCHED = "not used: it does not fit the map"
+    BLIND = "not used: too few returns"
+
+
+@dataclass(frozen=True)
+class UpdateConfig:
+    """The iterated update and when its result is believed.
+
+    Attributes:
+        iterations: at most as many steps.
+        done_turn: rad, a smaller step ends the iterations.
+        done_shift: metres, the same.
+        search_shift: metres; after a greater step the planes are searched again.
+        min_returns: returns below which a scan counts as blind.
+        min_matches: matches below which a scan is not used.
+        min_agreement: share of matches among planes below which it is not used.
+        good_agreement: the same, below which it is not mapped.
+        max_surprise: correction in standard deviations above which it is not mapped.
+    """
+
+    iterations: int = 4
+    done_turn: float = 1e-4
+    done_shift: float = 3e-4
+    search_shift: float = 0.01
+    min_returns: int = 100
+    min_matches: int = 60
+    min_agreement: float = 0.3
+    good_agreement: float = 0.55
+    max_surprise: float = 8.0
+
+
+@dataclass(frozen=True)
+class EstimatorConfig:
+    """Everything between an IMU interval with a scan and a new state."""
+
+    imu: ImuNoise = field(default_factory=ImuNoise)
+    scan: ScanConfig = field(default_factory=ScanConfig)
+    match: MatchConfig = field(default_factory=MatchConfig)
+    map: MapConfig = field(default_factory=MapConfig)
+    update: UpdateConfig = field(default_factory=UpdateConfig)
+
+
+@dataclass(frozen=True)
+class Interval:
+    """The IMU between the filter's time and the end of a scan.
+
+    Attributes:
+        start_ns: the filter's time.
+        times: (n,), seconds after ``start_ns``.
+        gyro: (n, 3), rad/s.
+        accel: (n, 3), m/s².
+        up: (3,), the world's up in the IMU frame at the end, if a second IMU tells.
+        up_sigma: rad, its standard deviation.
+    """
+
+    start_ns: int
+    times: np.ndarray
+    gyro: np.ndarray
+    accel: np.ndarray
+    up: np.ndarray | None = None
+    up_sigma: float = 0.0
+
+
+@dataclass(frozen=True)
+class ScanReport:
+    """What the filter made of a scan.
+
+    Attributes:
+        verdict: whether it was used.
+        returns: points within range.
+        matches: points matched to planes of the map.
+        agreement: share of the planes found that the points lie on.
+        residual: metres, root mean square of the matches.
+        surprise: size of the correction in predicted standard deviations.
+        weakest_sigma: metres, what the scan alone knows of the position along the
+            direction it knows least.
+        weakest_direction: (3,), world, unit.
+        weakest_turn: rad, the same of the rotation.
+        rejected: points with NaN or infinite coordinates.
+    """
+
+    verdict: Verdict
+    returns: int
+    matches: int = 0
+    agreement: float = 0.0
+    residual: float = 0.0
+    surprise: float = 0.0
+    weakest_sigma: float = np.inf
+    weakest_direction: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    weakest_turn: float = np.inf
+    rejected: int = 0
+
+
+def weakest(information: np.ndarray) -> tuple[float, np.ndarray, float]:
+    """What a scan alone knows least: metres, direction ``(3,)``, radians.
+
+    Args:
+        information: (23, 23), H'R⁻¹H; rotation and position are used.
+    """
+    ridge = 1e-6 * np.eye(3)
+    rot, pos = information[:3, :3] + ridge, information[3:6, 3:6] + ridge
+    mixed = information[:3, 3:6]
+    values, vectors = np.linalg.eigh(pos - mixed.T @ np.linalg.solve(rot, mixed))
+    turns = np.linalg.eigvalsh(rot - mixed @ np.linalg.solve(pos, mixed.T))
+    shift_sigma = float(1.0 / np.sqrt(max(values[0], 1e-12)))
+    turn_sigma = float(1.0 / np.sqrt(max(turns[0], 1e-12)))
+    return shift_sigma, vectors[:, 0], turn_sigma
+
+
+def tilt_evidence(
+    state: np.ndarray, up: np.ndarray, sigma: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """H'R⁻¹H and H'R⁻¹z of a second IMU's up ``(3,)``: anchors roll and pitch."""
+    seen = state[m.ROT].reshape(3, 3)[2]
+    jacobian = m.skew(seen)
+    information, gradient = np.zeros((m.ERROR_SIZE,) * 2), np.zeros(m.ERROR_SIZE)
+    information[:3, :3] = jacobian.T @ jacobian / sigma**2
+    gradient[:3] = jacobian.T @ (seen - up) / sigma**2
+    return information, gradient
+
+
+class Estimator:
+    """State, covariance and map at the end of the newest scan used."""
+
+    def __init__(
+        self,
+        config: EstimatorConfig,
+        stamp_ns: int,
+        state: np.ndarray,
+        covariance: np.ndarray,
+        world: VoxelMap,
+    ) -> None:
+        """Begin at ``stamp_ns`` with an empty ``world``."""
+        self.config = config
+        self.stamp_ns = stamp_ns
+        self.state, self.covariance = state, covariance
+        self.map = world
+        self._noise = config.imu.as_array()
+
+    def advance(self, scan: Scan, interval: Interval) -> ScanReport:
+        """Take in a scan; the state moves to its end unless it could not be used."""
+        predicted, prior, path = propagate(
+            self.state,
+            self.covariance,
+            interval.times,
+            interval.gyro,
+            interval.accel,
+            self._noise,
+        )
+        lidar = predicted[m.ROT_LIDAR.start :].copy()
+        thinned = prepare(scan, interval.start_ns, path, lidar, self.config.scan)
+        if thinned.returns < self.config.update.min_returns:
+            return ScanReport(Verdict.BLIND, thinned.returns, rejected=thinned.rejected)
+        if len(self.map) == 0:
+            self._commit(scan.end_ns, predicted, prior)
+            self._extend(thinned, np.full(len(thinned.means), 2))
+            return ScanReport(Verdict.GOOD, thinned.returns, rejected=thinned.rejected)
+        matcher = Matcher(thinned, self.map, self.config.match)
+        state, covariance, evidence = self._update(predicted, prior, matcher, interval)
+        report = self._judge(predicted, prior, state, evidence, thinned)
+        if report.verdict is Verdict.UNMATCHED:
+            return report
+        self._commit(scan.end_ns, state, covariance)
+        if report.verdict is Verdict.GOOD:
+            # A point off its plane may start a new cell, but must not bend old ones.
+            self._extend(thinned, np.where(matcher.status == OUTLIER, 1, 2))
+        return report
+
+    def _update(
+        self,
+        predicted: np.ndarray,
+        prior: np.ndarray,
+        matcher: Matcher,
+        interval: Interval,
+    ) -> tuple[np.ndarray, np.ndarray, Evidence]:
+        """The iterated update; also the evidence at its result."""
+        config = self.config.update
+        state, covariance = predicted, prior
+        search = True
+        for _ in range(config.iterations):
+            evidence = matcher.evidence(state, prior, search=search)
+            information, gradient = evidence.information, evidence.gradient
+            if interval.up is not None:
+                extra = tilt_evidence(state, interval.up, interval.up_sigma)
+                information, gradient = information + extra[0], gradient + extra[1]
+            step, covariance = gauss_newton_step(
+                state, predicted, prior, information, gradient
+            )
+            state, covariance = apply_step(state, covariance, step)
+            turn, shift = np.linalg.norm(step[:3]), np.linalg.norm(step[3:6])
+            if turn < config.done_turn and shift < config.done_shift:
+                break
+            # Points turn about the sensor; 3 m stands for their distance.
+            search = bool(shift + 3.0 * turn > config.search_shift)
+        return state, covariance, matcher.evidence(state, covariance, search=False)
+
+    def _judge(
+        self,
+        predicted: np.ndarray,
+        prior: np.ndarray,
+        state: np.ndarray,
+        evidence: Evidence,
+        thinned: Thinned,
+    ) -> ScanReport:
+        config = self.config.update
+        error = m.minus(state, predicted)[:6]
+        surprise = float(np.sqrt(error @ np.linalg.solve(prior[:6, :6], error) / 6.0))
+        verdict = Verdict.GOOD
+        if (
+            evidence.matches < config.min_matches
+            or evidence.agreement < config.min_agreement
+            or not np.isfinite(state).all()
+        ):
+            verdict = Verdict.UNMATCHED
+        elif (
+            evidence.agreement < config.good_agreement or surprise > config.max_surprise
+        ):
+            verdict = Verdict.DOUBTFUL
+        shift, direction, turn = weakest(evidence.information)
+        return ScanReport(
+            verdict,
+            thinned.returns,
+            evidence.matches,
+            evidence.agreement,
+            evidence.residual,
+            surprise,
+            shift,
+            direction,
+            turn,
+            thinned.rejected,
+        )
+
+    def _commit(self, stamp_ns: int, state: np.ndarray, covariance: np.ndarray) -> None:
+        self.stamp_ns = stamp_ns
+        self.state, self.covariance = state, covariance
+
+    def _extend(self, thinned: Thinned, use: np.ndarray) -> None:
+        rot = self.state[m.ROT].reshape(3, 3)
+        inner = thinned.means @ self.state[m.ROT_LIDAR].reshape(3, 3).T
+        world = (inner + self.state[m.POS_LIDAR]) @ rot.T + self.state[m.POS]
+        self.map.follow(self.state[m.POS])
+        self.map.insert(world, thinned.counts, use)
