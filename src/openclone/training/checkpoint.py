@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import torch
 
 from openclone.errors import InputError
+from openclone.training.progress import Trained
 
 
 def save_checkpoint(path: Path, content: dict[str, Any]) -> None:
@@ -40,3 +43,32 @@ def load_checkpoint(path: Path) -> dict[str, Any]:
     if not isinstance(content, dict):
         raise InputError("not a checkpoint of OpenClone", where=str(path))
     return content
+
+
+def trained_so_far(content: dict[str, Any]) -> Trained:
+    """Counters of a checkpoint; iterations were not kept in the oldest ones."""
+    return Trained(content["steps"], content["minutes"], content.get("iterations", 0))
+
+
+@contextmanager
+def fitting(path: Path) -> Iterator[None]:
+    """Turn what torch raises on state that does not fit into one line.
+
+    Raises:
+        InputError: the checkpoint lacks a part, or was made for other networks.
+    """
+    try:
+        yield
+    except KeyError as error:
+        raise InputError(
+            f"the checkpoint has no {error.args[0]!r}",
+            where=str(path),
+            remedy="is it a teacher's where a student's is wanted, or the reverse?",
+        ) from None
+    except (RuntimeError, ValueError) as error:
+        lines = [line.strip() for line in str(error).splitlines()] or ["unknown"]
+        raise InputError(
+            f"the checkpoint does not fit the preset's networks ({lines[-1]})",
+            where=str(path),
+            remedy="use the preset it was trained with",
+        ) from None

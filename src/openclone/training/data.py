@@ -16,6 +16,11 @@ from openclone.training.terrain import build_terrain, build_training_model
 _MIN_SECONDS = 0.6
 
 
+def is_recorded(clip: Clip) -> bool:
+    """Whether a clip is a recording as it was: neither synthesized nor edited."""
+    return not (clip.info.source.startswith("openclone") or "~" in clip.info.name)
+
+
 def select_clips(
     clips: list[Clip],
     categories: tuple[str, ...] | None,

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -12,6 +14,7 @@ from torch import nn
 
 from openclone.policy.moe import balance_loss
 from openclone.policy.student import StudentModel
+from openclone.training.guard import NanGuard, Tensors
 from openclone.training.ppo import note_step
 from openclone.training.presets import DistillationConfig
 from openclone.training.progress import Progress
@@ -20,6 +23,17 @@ from openclone.training.teacher import GROUP as TEACHER
 
 _UNIT = 0.45
 """Radians; typical action scale, makes the loss comparable to actions squared."""
+_RATE_STEPS = 20
+"""The learning rate falls in this many steps, so that wall time decides little."""
+
+
+def router_usage(routing: list[torch.Tensor]) -> dict[str, float]:
+    """Mean routing weight of every expert, for the log; none without experts."""
+    return {
+        f"router/layer{layer}/expert{expert}": float(share)
+        for layer, weights in enumerate(routing, 1)
+        for expert, share in enumerate(weights.detach().mean(0), 1)
+    }
 
 
 class Dagger:
@@ -32,8 +46,9 @@ class Dagger:
         student: StudentModel,
         config: DistillationConfig,
         rng: np.random.Generator,
+        folder: Path,
     ) -> None:
-        """Start with an empty buffer."""
+        """Start with an empty buffer; ``folder`` takes a dump if training breaks."""
         self.view, self.teacher, self.student = view, teacher, student
         self.config = config
         self.rounds = 0
@@ -44,6 +59,8 @@ class Dagger:
             maxlen=config.kept_rounds
         )
         self._rng = rng
+        networks = {"student": student.mlp}
+        self._guard = NanGuard(folder, view.task, networks, self._last_round)
         self._weight = view.task.action_scale / _UNIT
 
     def label(self) -> torch.Tensor:
@@ -54,6 +71,13 @@ class Dagger:
         )
         return self.view.to_action(task.residual_to_target(self.teacher(group)))
 
+    def _last_round(self) -> Tensors:
+        """Inputs and labels of the newest round."""
+        if not self._buffer:
+            return {}
+        inputs, labels = self._buffer[-1]
+        return {"observations": inputs, "labels": labels}
+
     @torch.no_grad()
     def collect(self, progress: Progress) -> None:
         """One round of roll-outs; the teacher's share of control falls to zero."""
@@ -63,6 +87,7 @@ class Dagger:
         count = self.view.task.num_envs
         for _ in range(self.config.steps):
             inputs, label = self.view.observe(), self.label()
+            self._guard.check_observations((inputs, label), progress.steps)
             self.student.obs_normalizer.update(inputs)  # type: ignore[operator]
             own = self.student.mean_action(inputs)
             by_teacher = torch.from_numpy(self._rng.random((count, 1)) < share)
@@ -78,10 +103,12 @@ class Dagger:
     def update(self, progress: Progress) -> None:
         """Gradient steps on the buffer: squared error plus Eq. 1."""
         config = self.config
-        rate = config.learning_rate * (1.0 - 0.8 * progress.share)
+        share = math.floor(_RATE_STEPS * progress.share) / _RATE_STEPS
+        rate = config.learning_rate * (1.0 - 0.8 * share)
         for group in self.optimizer.param_groups:
             group["lr"] = rate
         rounds = len(self._buffer)
+        losses: dict[str, float] = {}
         for _ in range(config.updates):
             per_round = config.batch // rounds
             parts = [
@@ -104,8 +131,13 @@ class Dagger:
                 self.student.mlp.parameters(), config.max_grad_norm
             )
             self.optimizer.step()
-            progress.add(**{"loss/imitation": float(imitation)})
-            progress.add(**{"loss/balance": float(balance)})
+            losses = {
+                "loss/imitation": imitation.item(),
+                "loss/balance": balance.item(),
+            }
+            progress.add(**losses, **router_usage(routing))
+        self._guard.check(losses, progress.steps)
+        progress.iterations += 1
 
 
 def distill(dagger: Dagger, progress: Progress) -> None:

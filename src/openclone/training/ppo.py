@@ -13,8 +13,9 @@ from rsl_rl.storage import RolloutStorage
 from tensordict import TensorDict
 
 from openclone.robot import g1
+from openclone.training.guard import NanGuard, Tensors
 from openclone.training.progress import Progress
-from openclone.training.task import StepResult
+from openclone.training.task import StepResult, TrackingTask
 
 
 @dataclass(frozen=True)
@@ -51,6 +52,11 @@ class PpoEnvironment(Protocol):
     """What the loop needs: observations in groups, and a step."""
 
     num_envs: int
+
+    @property
+    def task(self) -> TrackingTask:
+        """The robots behind it."""
+        ...
 
     def observe(self) -> TensorDict:
         """Observation groups, batch size (n,)."""
@@ -110,15 +116,21 @@ def build_ppo(
     )
 
 
+AfterUpdate = Callable[[TensorDict], dict[str, float]]
+"""Called with the newest observations after an update; returns values to log."""
+_SHOWN = ("falls/1000", "error_mm", "reward", "std", "lr", "loss/value")
+
+
 def learn(
     env: PpoEnvironment,
     ppo: PPO,
     config: PpoConfig,
     progress: Progress,
     every_line: Callable[[], None],
+    after_update: tuple[AfterUpdate, ...] = (),
     line_seconds: float = 30.0,
 ) -> None:
-    """Collect and update until the time is over.
+    """Collect and update until the budget is spent.
 
     Args:
         env: the task.
@@ -126,40 +138,72 @@ def learn(
         config: its settings.
         progress: receives values; says when to stop.
         every_line: called after each progress line, e.g. to save a checkpoint.
+        after_update: what else learns or watches, e.g. AMP.
         line_seconds: seconds between lines.
+
+    Raises:
+        TrainingStopped: something is not finite; a dump lies beside the checkpoint.
     """
     ppo.train_mode()
+    networks = {"actor": ppo.actor, "critic": ppo.critic}
+    guard = NanGuard(progress.folder, env.task, networks, lambda: _last_batch(ppo))
     observations = env.observe()
     while not progress.finished:
-        with torch.inference_mode():
-            for _ in range(config.steps):
-                action = ppo.act(observations)
-                result = env.step(action.clamp(-10, 10))
-                observations = env.observe()
-                ppo.process_env_step(
-                    observations,
-                    result.reward,
-                    result.done,
-                    {"time_outs": result.timed_out},
-                )
-                progress.steps += env.num_envs
-                note_step(progress, result)
-            ppo.compute_returns(observations)
-        losses = ppo.update()
+        observations = collect(env, ppo, config, progress, guard, observations)
+        losses = {f"loss/{name}": value for name, value in ppo.update().items()}
+        for also in after_update:
+            losses |= also(observations)
+        guard.check(losses, progress.steps)
         rate = min(max(ppo.learning_rate, config.slowest), config.fastest)
         ppo.learning_rate = rate
+        progress.iterations += 1
         progress.add(
-            **{f"loss/{name}": value for name, value in losses.items()},
+            **losses,
             lr=ppo.learning_rate,
             std=ppo.get_policy().output_std.mean().item(),
         )
-        shown = ("falls/1000", "error_mm", "reward", "std", "lr", "loss/value")
-        if progress.line(line_seconds, shown):
+        if progress.line(line_seconds, _SHOWN):
             every_line()
 
 
+@torch.inference_mode()
+def collect(
+    env: PpoEnvironment,
+    ppo: PPO,
+    config: PpoConfig,
+    progress: Progress,
+    guard: NanGuard,
+    observations: TensorDict,
+) -> TensorDict:
+    """Fill the storage with one roll-out; returns the newest observations."""
+    for _ in range(config.steps):
+        guard.check_observations(observations.to_dict().values(), progress.steps)
+        action = ppo.act(observations)
+        result = env.step(action.clamp(-10, 10))
+        observations = env.observe()
+        extras = {"time_outs": result.timed_out}
+        ppo.process_env_step(observations, result.reward, result.done, extras)
+        progress.steps += env.num_envs
+        note_step(progress, result)
+    ppo.compute_returns(observations)
+    return observations
+
+
+def _last_batch(ppo: PPO) -> Tensors:
+    """The storage's tensors, (steps, n, ...)."""
+    storage = ppo.storage
+    names = ("actions", "rewards", "dones", "values", "returns", "advantages")
+    batch = {name: getattr(storage, name) for name in names}
+    groups = {f"observations/{k}": v for k, v in storage.observations.to_dict().items()}
+    return {**batch, **groups}
+
+
 def note_step(progress: Progress, result: StepResult) -> None:
-    """Add a step's reward terms, terminations per 1000 steps and body error."""
+    """Add a step's reward terms, terminations, body error and episodes that ended.
+
+    ``success/<category>`` is the share of a category's episodes that came to their end
+    without failure, from the starts that training draws, with exploration noise.
+    """
     terms = {f"reward/{name}": value for name, value in result.terms.items()}
     progress.add(
         **{
@@ -169,3 +213,5 @@ def note_step(progress: Progress, result: StepResult) -> None:
         },
         **terms,
     )
+    for category, survived in result.outcomes.items():
+        progress.add_all(f"success/{category}", [float(well) for well in survived])

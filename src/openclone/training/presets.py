@@ -2,19 +2,67 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import math
+from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
 from openclone.errors import InputError
+from openclone.motion.clip import Clip
 from openclone.odometry.noise import OdometryNoiseConfig
+from openclone.policy.mlp import MlpConfig
 from openclone.policy.moe import MoeConfig
+from openclone.training.amp import AmpConfig
+from openclone.training.data import is_recorded, select_clips
 from openclone.training.ppo import PpoConfig
-from openclone.training.task import TaskConfig, TerminationLimits
+from openclone.training.reward_table import FAST, PAPER
+from openclone.training.task_config import (
+    TABLE_A2_TASK,
+    TaskConfig,
+    TerminationLimits,
+)
 
 LOCOMOTION = (
     "stand", "forward", "backward", "stepside", "turn", "wave", "reach", "squat",
     "transition",
 )  # fmt: skip
+_WALKING = ("stand", "forward", "turn")
+
+
+@dataclass(frozen=True)
+class DataChoice:
+    """Which clips a run learns from.
+
+    Attributes:
+        categories: motion categories to train on; None for all.
+        recorded_only: leave out synthetic and edited clips.
+        mirror: also train on every clip with left and right swapped.
+        still_seconds: hold clips that end at rest for this long.
+    """
+
+    categories: tuple[str, ...] | None = LOCOMOTION
+    recorded_only: bool = False
+    mirror: bool = True
+    still_seconds: float = 2.0
+
+    def select(self, clips: list[Clip]) -> list[Clip]:
+        """The training motions among ``clips``, padded and mirrored.
+
+        Raises:
+            InputError: none is left.
+        """
+        kept = [c for c in clips if not self.recorded_only or is_recorded(c)]
+        if clips and not kept:
+            raise InputError(
+                "this preset trains on recordings alone, and there are none",
+                remedy="give a folder of recordings with --motions",
+            )
+        return select_clips(kept, self.categories, self.mirror, self.still_seconds)
+
+
+_FAST_TASK = TaskConfig(num_envs=512, failure_share=0.6, push_speed=0.3)
+_FAST_PPO = PpoConfig(
+    steps=24, epochs=4, minibatches=4, kl=0.02, slowest=1e-5, fastest=5e-4, entropy=0.0
+)
 
 
 @dataclass(frozen=True)
@@ -23,20 +71,21 @@ class TeacherPreset:
 
     Attributes:
         minutes: wall time.
-        categories: motion categories to train on; None for all.
-        mirror: also train on every clip with left and right swapped.
-        still_seconds: hold clips that end at rest for this long.
-        task, ppo: see there.
+        iterations: PPO iterations, if they end the run instead.
+        data, task, ppo: see there.
+        amp: the style reward; None for none.
     """
 
     minutes: float = 60.0
-    categories: tuple[str, ...] | None = LOCOMOTION
-    mirror: bool = True
-    still_seconds: float = 2.0
-    task: TaskConfig = field(default_factory=TaskConfig)
-    ppo: PpoConfig = field(
-        default_factory=lambda: PpoConfig(minibatches=4, entropy=0.0)
-    )
+    iterations: int | None = None
+    data: DataChoice = field(default_factory=DataChoice)
+    task: TaskConfig = _FAST_TASK
+    ppo: PpoConfig = _FAST_PPO
+    amp: AmpConfig | None = None
+
+    def select(self, clips: list[Clip]) -> list[Clip]:
+        """The training motions among ``clips``."""
+        return self.data.select(clips)
 
 
 @dataclass(frozen=True)
@@ -63,82 +112,162 @@ class DistillationConfig:
     max_grad_norm: float = 0.5
 
 
+_STUDENT_TASK = TaskConfig(
+    limits=TerminationLimits(0.3, 1.0, 0.35, 1.0),
+    failure_share=0.6,
+    push_speed=0.3,
+    displaced_share=0.05,
+    standing_share=0.08,
+)
+_TUNING_TASK = TaskConfig(
+    limits=TerminationLimits(0.35, 1.2, 0.6, 1.2),
+    displaced_share=0.1,
+    born_distance=0.6,
+    standing_share=0.1,
+    failure_share=0.85,
+)
+_TUNING_PPO = PpoConfig(
+    kl=0.02, learning_rate=1e-4, initial_std=0.15, entropy=0.0, epochs=3
+)
+
+
 @dataclass(frozen=True)
 class StudentPreset:
     """Settings of one student run: DAgger, then PPO on the student itself.
 
     Attributes:
         minutes: wall time of DAgger.
-        tuning_minutes: wall time of PPO afterwards.
-        categories, mirror, still_seconds: as in `TeacherPreset`.
+        iterations: rounds of DAgger, if they end it instead.
+        tuning_minutes: wall time of PPO afterwards; 0 for none.
+        teacher: name of the teacher preset to train first when no teacher is given;
+            empty: a teacher must be given.
+        data: see there.
         history: frames of history H.
-        moe: network shape.
+        network: experts, or the MLP of the baseline.
         noise: Eq. 2.
         task: settings during DAgger.
         tuning_task: settings during PPO.
         distillation, ppo: see there.
+        amp: the style reward during PPO; None for none.
     """
 
     minutes: float = 20.0
+    iterations: int | None = None
     tuning_minutes: float = 25.0
-    categories: tuple[str, ...] | None = LOCOMOTION
-    mirror: bool = True
-    still_seconds: float = 4.0
+    teacher: str = ""
+    data: DataChoice = field(default_factory=lambda: DataChoice(still_seconds=4.0))
     history: int = 25
-    moe: MoeConfig = field(default_factory=MoeConfig)
+    network: MoeConfig | MlpConfig = field(default_factory=MoeConfig)
     noise: OdometryNoiseConfig = field(default_factory=OdometryNoiseConfig)
-    task: TaskConfig = field(
-        default_factory=lambda: TaskConfig(
-            limits=TerminationLimits(0.3, 1.0, 0.35, 1.0), displaced_share=0.1
-        )
-    )
-    tuning_task: TaskConfig = field(
-        default_factory=lambda: TaskConfig(
-            limits=TerminationLimits(0.35, 1.2, 0.6, 1.2),
-            displaced_share=0.1,
-            born_distance=0.6,
-            standing_share=0.1,
-            failure_share=0.85,
-        )
-    )
+    task: TaskConfig = _STUDENT_TASK
+    tuning_task: TaskConfig = _TUNING_TASK
     distillation: DistillationConfig = field(default_factory=DistillationConfig)
-    ppo: PpoConfig = field(
-        default_factory=lambda: PpoConfig(
-            kl=0.02, learning_rate=1e-4, initial_std=0.15, entropy=0.0, epochs=3
-        )
-    )
+    ppo: PpoConfig = _TUNING_PPO
+    amp: AmpConfig | None = None
+
+    def select(self, clips: list[Clip]) -> list[Clip]:
+        """The training motions among ``clips``."""
+        return self.data.select(clips)
 
 
-Preset = TypeVar("Preset")
-
+_PAPER_TASK = replace(
+    TABLE_A2_TASK,
+    num_envs=8192,
+    weights=PAPER,
+    limits=TerminationLimits(math.inf, math.inf, math.inf, 1.5),
+    lead_frames=0,
+)
 _SMOKE_TASK = TaskConfig(num_envs=16, episode_steps=50)
 _SMOKE_PPO = PpoConfig(steps=4, epochs=1, minibatches=1, hidden=(32, 32))
+_SMOKE_AMP = AmpConfig(hidden=(32, 16), replay=1000, batch=64, updates=1)
 
 TEACHERS = {
     "fast": TeacherPreset(),
-    "quickstart": TeacherPreset(
-        minutes=22.0, categories=("stand", "forward", "turn"), mirror=False
+    "fast-amp": TeacherPreset(
+        task=replace(_FAST_TASK, weights=replace(FAST, amp=0.5)),
+        amp=AmpConfig(hidden=(256, 128), batch=2048, learning_rate=1e-4),
     ),
-    "smoke": TeacherPreset(minutes=0.02, task=_SMOKE_TASK, ppo=_SMOKE_PPO),
+    "other-data": TeacherPreset(data=DataChoice(recorded_only=True, mirror=False)),
+    "paper": TeacherPreset(
+        minutes=math.inf,
+        iterations=1_000_000,
+        data=DataChoice(categories=None),
+        task=_PAPER_TASK,
+        ppo=PpoConfig(
+            steps=24,
+            epochs=5,
+            minibatches=4,
+            learning_rate=1e-3,
+            slowest=1e-5,
+            fastest=1e-2,
+            kl=0.01,
+            entropy=0.005,
+            hidden=(512, 256, 128),
+        ),
+        amp=AmpConfig(),
+    ),
+    "quickstart": TeacherPreset(
+        minutes=22.0,
+        data=DataChoice(categories=_WALKING, mirror=False),
+        task=replace(_FAST_TASK, num_envs=256),
+        ppo=PpoConfig(minibatches=4, entropy=0.0),
+    ),
+    "smoke": TeacherPreset(
+        minutes=0.02,
+        task=replace(_SMOKE_TASK, weights=replace(FAST, amp=0.5)),
+        ppo=_SMOKE_PPO,
+        amp=_SMOKE_AMP,
+    ),
 }
+
+_STUDENT = StudentPreset()
 STUDENTS = {
-    "fast": StudentPreset(),
+    "fast": _STUDENT,
+    "mlp": replace(_STUDENT, network=MlpConfig()),
+    "other-data": replace(
+        _STUDENT,
+        data=DataChoice(recorded_only=True, mirror=False, still_seconds=4.0),
+    ),
+    "history-5": replace(_STUDENT, history=5),
+    "history-50": replace(_STUDENT, history=50),
+    "layers-1": replace(_STUDENT, network=MoeConfig(layers=1)),
+    "experts-8": replace(_STUDENT, network=MoeConfig(experts=8)),
+    "paper": StudentPreset(
+        minutes=math.inf,
+        iterations=600_000,
+        tuning_minutes=0.0,
+        data=DataChoice(categories=None),
+        task=replace(_PAPER_TASK, num_envs=4096),
+        distillation=DistillationConfig(
+            steps=24,
+            kept_rounds=1,
+            updates=20,
+            batch=24 * 4096 // 4,
+            learning_rate=5e-4,
+            teacher_share_rounds=1,
+            max_grad_norm=0.2,
+        ),
+    ),
     "quickstart": StudentPreset(
         minutes=14.0,
         tuning_minutes=0.0,
-        categories=("stand", "forward", "turn"),
-        mirror=False,
+        teacher="quickstart",
+        data=DataChoice(categories=_WALKING, mirror=False, still_seconds=4.0),
     ),
     "smoke": StudentPreset(
         minutes=0.02,
         tuning_minutes=0.02,
-        moe=MoeConfig(width=16),
+        teacher="smoke",
+        network=MoeConfig(width=16),
         task=_SMOKE_TASK,
-        tuning_task=_SMOKE_TASK,
+        tuning_task=replace(_SMOKE_TASK, weights=replace(FAST, amp=0.5)),
         distillation=DistillationConfig(steps=4, updates=2, batch=32),
         ppo=_SMOKE_PPO,
+        amp=_SMOKE_AMP,
     ),
 }
+"""``mlp`` is the paper's CLONE†, ``other-data`` its CLONE*; ``history-*``, ``layers-1``
+and ``experts-8`` are the rows of its Table 2."""
 
 
 def teacher_preset(name: str) -> TeacherPreset:
@@ -149,6 +278,9 @@ def teacher_preset(name: str) -> TeacherPreset:
 def student_preset(name: str) -> StudentPreset:
     """Look up a student preset; `InputError` names the known ones."""
     return _known(STUDENTS, name)
+
+
+Preset = TypeVar("Preset")
 
 
 def _known(table: dict[str, Preset], name: str) -> Preset:

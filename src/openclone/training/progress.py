@@ -2,49 +2,90 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import defaultdict
+from dataclasses import dataclass
 from pathlib import Path
 
 from torch.utils.tensorboard import SummaryWriter
 
 
+@dataclass(frozen=True)
+class Budget:
+    """How long a run may take, earlier runs included; whatever ends first.
+
+    Attributes:
+        minutes: wall time; inf for none.
+        iterations: collections and updates; None for no bound.
+    """
+
+    minutes: float
+    iterations: int | None = None
+
+
+@dataclass(frozen=True)
+class Trained:
+    """What earlier runs of the same training have done."""
+
+    steps: int = 0
+    minutes: float = 0.0
+    iterations: int = 0
+
+
 class Progress:
     """Collects values, prints a line with rate and ETA, and logs means.
 
-    Args of the constructor: folder for the event file, minutes until the end, steps
-    and minutes already trained before a resume.
+    Args of the constructor: folder for the event file, when to stop, and what has
+    already been trained before a resume.
     """
 
     def __init__(
-        self, folder: Path, minutes: float, steps: int = 0, trained: float = 0.0
+        self, folder: Path, budget: Budget, trained: Trained | None = None
     ) -> None:
+        trained = trained or Trained()
         self._writer = SummaryWriter(str(folder))
-        self._minutes = minutes
+        self._budget = budget
+        self.folder = folder
         self._start = self._last_line = time.monotonic()
         self._trained = trained
-        self._line_steps = self.steps = steps
+        self._line_steps = self.steps = trained.steps
+        self.iterations = trained.iterations
         self._values: dict[str, list[float]] = defaultdict(list)
 
     @property
     def minutes(self) -> float:
         """Minutes trained in total, earlier runs included."""
-        return self._trained + (time.monotonic() - self._start) / 60
+        return self._trained.minutes + (time.monotonic() - self._start) / 60
+
+    @property
+    def trained(self) -> Trained:
+        """Everything trained so far, for the checkpoint."""
+        return Trained(self.steps, self.minutes, self.iterations)
 
     @property
     def finished(self) -> bool:
-        """Whether the time is over."""
-        return self.minutes >= self._minutes
+        """Whether the budget is spent."""
+        bound = self._budget.iterations
+        over = bound is not None and self.iterations >= bound
+        return over or self.minutes >= self._budget.minutes
 
     @property
     def share(self) -> float:
-        """Share of the planned time that has passed, 0 to 1."""
-        return min(1.0, self.minutes / max(self._minutes, 1e-9))
+        """Share of the budget that is spent, 0 to 1."""
+        shares = [self.minutes / max(self._budget.minutes, 1e-9)]
+        if self._budget.iterations is not None:
+            shares.append(self.iterations / max(self._budget.iterations, 1))
+        return min(1.0, max(shares))
 
     def add(self, **values: float) -> None:
         """Note values; their means appear in the next line."""
         for name, value in values.items():
             self._values[name].append(value)
+
+    def add_all(self, name: str, values: list[float]) -> None:
+        """Note several values of one quantity at once."""
+        self._values[name] += values
 
     def line(self, every: float, shown: tuple[str, ...]) -> bool:
         """Print and log if ``every`` seconds have passed since the last line."""
@@ -57,15 +98,23 @@ class Progress:
         for name, value in means.items():
             self._writer.add_scalar(name, value, self.steps)
         self._writer.add_scalar("rate/steps_per_s", rate, self.steps)
+        self._writer.flush()
         self._values.clear()
         text = "  ".join(f"{name} {means[name]:.3g}" for name in shown if name in means)
-        left = max(0.0, self._minutes - self.minutes)
         print(
             f"{self.minutes:6.1f} min  {self.steps / 1e6:7.2f} M steps  "
-            f"{rate:6.0f}/s  ETA {left:5.1f} min  {text}",
+            f"{rate:6.0f}/s  ETA {self._minutes_left():5.1f} min  {text}",
             flush=True,
         )
         return True
+
+    def _minutes_left(self) -> float:
+        share = self.share
+        spent = self.minutes - self._trained.minutes
+        if math.isfinite(self._budget.minutes) or share <= 0:
+            return max(0.0, self._budget.minutes - self.minutes)
+        done = share - self._trained.iterations / max(self._budget.iterations or 1, 1)
+        return spent / max(done, 1e-9) * (1.0 - share)
 
     def close(self) -> None:
         """Flush the event file."""

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -12,15 +12,22 @@ from tensordict import TensorDict
 from openclone.motion.clip import Clip, clip_hash
 from openclone.policy.bundle import g1_info
 from openclone.policy.student import GROUP, StudentModel, export_bundle
-from openclone.training.checkpoint import load_checkpoint, save_checkpoint
-from openclone.training.data import load_reference, make_task, select_clips
-from openclone.training.distillation import Dagger, distill
-from openclone.training.ppo import build_ppo, learn
+from openclone.training.amp import AmpStyle
+from openclone.training.checkpoint import (
+    fitting,
+    load_checkpoint,
+    save_checkpoint,
+    trained_so_far,
+)
+from openclone.training.data import load_reference, make_task
+from openclone.training.distillation import Dagger, distill, router_usage
+from openclone.training.ppo import AfterUpdate, build_ppo, learn
 from openclone.training.presets import StudentPreset
-from openclone.training.progress import Progress
+from openclone.training.progress import Budget, Progress, Trained
 from openclone.training.reference import ReferenceMotions
 from openclone.training.student_view import StudentView
-from openclone.training.task import StepResult, TaskConfig
+from openclone.training.task import StepResult, TrackingTask
+from openclone.training.task_config import TaskConfig
 from openclone.training.teacher import load_critic, load_teacher
 
 CHECKPOINT = "student.pt"
@@ -37,6 +44,11 @@ class StudentEnvironment:
     def __init__(self, view: StudentView) -> None:
         self.view = view
         self.num_envs = view.task.num_envs
+
+    @property
+    def task(self) -> TrackingTask:
+        """The robots behind the view."""
+        return self.view.task
 
     def observe(self) -> TensorDict:
         """Groups ``student`` and ``critic``."""
@@ -64,14 +76,14 @@ class StudentTrainer:
     ) -> None:
         """Build the reference and an untrained student."""
         torch.manual_seed(seed)
-        chosen = select_clips(
-            clips, preset.categories, preset.mirror, preset.still_seconds
-        )
+        chosen = preset.select(clips)
         self.preset, self.out, self.threads, self.seed = preset, out, threads, seed
         self.data_hash = clip_hash(chosen)
         self.reference: ReferenceMotions = load_reference(chosen)
-        self.student = StudentModel(preset.moe, preset.ppo.initial_std, preset.history)
-        self.steps, self.minutes, self.phase = 0, 0.0, "dagger"
+        self.student = StudentModel(
+            preset.network, preset.ppo.initial_std, preset.history
+        )
+        self.trained, self.phase = Trained(), "dagger"
         seconds = self.reference.num_frames / 50
         print(f"{len(chosen)} clips, {seconds / 60:.1f} minutes")
 
@@ -83,26 +95,28 @@ class StudentTrainer:
 
     def save(self, progress: Progress, extra: dict[str, object]) -> None:
         """Write checkpoint and bundle."""
-        self.steps, self.minutes = progress.steps, progress.minutes
+        self.trained = trained = progress.trained
         content = {
             "student": self.student.state_dict(),
             "phase": self.phase,
-            "steps": self.steps,
-            "minutes": self.minutes,
+            "steps": trained.steps,
+            "minutes": trained.minutes,
+            "iterations": trained.iterations,
             **extra,
         }
         save_checkpoint(self.out / CHECKPOINT, content)
-        note = f"{self.phase}, {self.steps} steps, {self.minutes:.0f} minutes"
-        info = g1_info("student", self.data_hash, note)
+        note = f"{self.phase}, {trained.steps} steps, {trained.minutes:.0f} minutes"
+        info = g1_info("student", self.data_hash, note, self.preset.history)
         export_bundle(self.student, info, self.out / BUNDLE)
         self.student.train()
 
-    def resume(self) -> dict[str, object]:
-        """Load the checkpoint in ``out``; returns its content."""
-        content = load_checkpoint(self.out / CHECKPOINT)
-        self.student.load_state_dict(content["student"])
-        self.steps, self.minutes = content["steps"], content["minutes"]
-        self.phase = content["phase"]
+    def resume(self, path: Path) -> dict[str, Any]:
+        """Load the checkpoint ``path``; returns its content."""
+        content = load_checkpoint(path)
+        with fitting(path):
+            self.student.load_state_dict(content["student"])
+            self.trained = trained_so_far(content)
+            self.phase = content["phase"]
         return content
 
 
@@ -115,6 +129,7 @@ def train_student(
     minutes: float | None = None,
     tuning_minutes: float | None = None,
     resume: bool = False,
+    start: Path | None = None,
     seed: int = 0,
     threads: int | None = None,
 ) -> Path:
@@ -127,12 +142,20 @@ def train_student(
         out: folder for checkpoint, bundle and event files.
         minutes: wall time of DAgger instead of the preset's.
         tuning_minutes: wall time of PPO instead of the preset's; 0 for none.
-        resume: go on from the checkpoint in ``out``.
+        resume: go on from the checkpoint in ``out``, time included.
+        start: begin with the student of this checkpoint, in its phase, with a fresh
+            budget.
         seed: of all randomness.
         threads: CPU threads; all cores by default.
     """
+    out = Path(out)
     trainer = StudentTrainer(clips, preset, out, seed, threads)
-    content = trainer.resume() if resume else {}
+    content: dict[str, Any] = {}
+    if resume:
+        content = trainer.resume(out / CHECKPOINT)
+    elif start is not None:
+        content = trainer.resume(start)
+        trainer.trained = Trained(steps=trainer.trained.steps)
     dagger_minutes = preset.minutes if minutes is None else minutes
     extra = preset.tuning_minutes if tuning_minutes is None else tuning_minutes
     if trainer.phase == "dagger":
@@ -140,52 +163,78 @@ def train_student(
         content = {}
     if extra > 0:
         if trainer.phase == "dagger":
-            trainer.minutes = 0.0
+            trainer.trained = Trained(steps=trainer.trained.steps)
         trainer.phase = "ppo"
         _tuning_phase(trainer, teacher, extra, content)
     return out / BUNDLE
 
 
 def _dagger_phase(
-    trainer: StudentTrainer, teacher: Path, minutes: float, content: dict[str, object]
+    trainer: StudentTrainer, teacher: Path, minutes: float, content: dict[str, Any]
 ) -> None:
     preset = trainer.preset
     rng = np.random.default_rng(trainer.seed + 2)
-    view = trainer.view(preset.task)
     dagger = Dagger(
-        view, load_teacher(teacher), trainer.student, preset.distillation, rng
+        trainer.view(preset.task),
+        load_teacher(teacher),
+        trainer.student,
+        preset.distillation,
+        rng,
+        trainer.out,
     )
     if content:
-        dagger.optimizer.load_state_dict(content["optimizer"])  # type: ignore[arg-type]
-        dagger.rounds = int(content["rounds"])  # type: ignore[call-overload]
-    progress = Progress(trainer.out, minutes, trainer.steps, trainer.minutes)
+        dagger.optimizer.load_state_dict(content["optimizer"])
+        dagger.rounds = int(content["rounds"])
+    budget = Budget(minutes, preset.iterations)
+    progress = Progress(trainer.out, budget, trainer.trained)
 
     def save() -> None:
         state = dagger.optimizer.state_dict()
         trainer.save(progress, {"optimizer": state, "rounds": dagger.rounds})
 
-    while not progress.finished:
-        distill(dagger, progress)
-        if progress.line(30.0, _SHOWN):
-            save()
-    save()
-    progress.close()
+    try:
+        while not progress.finished:
+            distill(dagger, progress)
+            if progress.line(30.0, _SHOWN):
+                save()
+        save()
+    finally:
+        progress.close()
 
 
 def _tuning_phase(
-    trainer: StudentTrainer, teacher: Path, minutes: float, content: dict[str, object]
+    trainer: StudentTrainer, teacher: Path, minutes: float, content: dict[str, Any]
 ) -> None:
     """PPO on the student; the critic goes on from the teacher's."""
-    preset = trainer.preset
+    preset, student = trainer.preset, trainer.student
     env = StudentEnvironment(trainer.view(preset.tuning_task))
-    trainer.student.freeze_routing()
+    student.freeze_routing()
     example = env.observe()
     critic = load_critic(teacher, _CRITIC)
-    ppo = build_ppo(example, trainer.student, critic, preset.ppo)
+    ppo = build_ppo(example, student, critic, preset.ppo)
+    watchers: list[AfterUpdate] = [lambda now: _watch_routers(student, now)]
+    style: AmpStyle | None = None
+    if preset.amp is not None:
+        style = AmpStyle(trainer.reference, preset.amp, trainer.seed)
+        env.task.style = style
+        watchers.append(lambda _: style.update())
     if "ppo" in content:
-        ppo.load(content["ppo"], None, strict=True)  # type: ignore[arg-type]
-    progress = Progress(trainer.out, minutes, trainer.steps, trainer.minutes)
-    save: Callable[[], None] = lambda: trainer.save(progress, {"ppo": ppo.save()})  # noqa: E731
-    learn(env, ppo, preset.ppo, progress, save)
-    save()
-    progress.close()
+        ppo.load(content["ppo"], None, strict=True)
+        if style is not None and content.get("amp"):
+            style.load_state_dict(content["amp"])
+    progress = Progress(trainer.out, Budget(minutes), trainer.trained)
+
+    def save() -> None:
+        amp = style.state_dict() if style is not None else {}
+        trainer.save(progress, {"ppo": ppo.save(), "amp": amp})
+
+    try:
+        learn(env, ppo, preset.ppo, progress, save, tuple(watchers))
+        save()
+    finally:
+        progress.close()
+
+
+@torch.no_grad()
+def _watch_routers(student: StudentModel, now: TensorDict) -> dict[str, float]:
+    return router_usage(student.with_routing(now[GROUP])[1])

@@ -13,11 +13,17 @@ from tensordict import TensorDict
 from openclone.motion.clip import Clip, clip_hash
 from openclone.policy.teacher import TEACHER_SIZE
 from openclone.robot import g1
-from openclone.training.checkpoint import load_checkpoint, save_checkpoint
-from openclone.training.data import load_reference, make_task, select_clips
+from openclone.training.amp import AmpStyle
+from openclone.training.checkpoint import (
+    fitting,
+    load_checkpoint,
+    save_checkpoint,
+    trained_so_far,
+)
+from openclone.training.data import load_reference, make_task
 from openclone.training.ppo import PpoConfig, build_ppo, learn, mlp_model
 from openclone.training.presets import TeacherPreset
-from openclone.training.progress import Progress
+from openclone.training.progress import Budget, Progress, Trained
 from openclone.training.task import StepResult, TrackingTask
 
 GROUP = "teacher"
@@ -51,6 +57,71 @@ def _new_ppo(num_envs: int, config: PpoConfig) -> PPO:
     return build_ppo(example, actor, critic, config)
 
 
+class TeacherTrainer:
+    """One run: data, task, networks and what a checkpoint holds."""
+
+    def __init__(
+        self,
+        clips: list[Clip],
+        preset: TeacherPreset,
+        seed: int,
+        threads: int | None,
+    ) -> None:
+        """Build task and untrained networks."""
+        torch.manual_seed(seed)
+        chosen = preset.select(clips)
+        self.preset = preset
+        self.data_hash = clip_hash(chosen)
+        self.task = make_task(load_reference(chosen), preset.task, seed, threads)
+        self.ppo = _new_ppo(preset.task.num_envs, preset.ppo)
+        self.style: AmpStyle | None = None
+        if preset.amp is not None:
+            self.style = AmpStyle(self.task.reference, preset.amp, seed)
+            self.task.style = self.style
+        minutes = self.task.reference.num_frames / 50 / 60
+        print(f"{len(chosen)} clips, {minutes:.1f} minutes")
+
+    def resume(self, path: Path) -> Trained:
+        """Go on from the checkpoint ``path``."""
+        content = load_checkpoint(path)
+        with fitting(path):
+            self.ppo.load(content["ppo"], None, strict=True)
+            if self.style is not None and content.get("amp"):
+                self.style.load_state_dict(content["amp"])
+            # The failure rates belong to the clips they were counted on.
+            if content["failures"].shape == self.task.failures.shape:
+                self.task.failures = content["failures"]
+            return trained_so_far(content)
+
+    def save(self, path: Path, progress: Progress) -> None:
+        """Write everything needed to go on."""
+        trained = progress.trained
+        content = {
+            "ppo": self.ppo.save(),
+            "hidden": list(self.preset.ppo.hidden),
+            "steps": trained.steps,
+            "minutes": trained.minutes,
+            "iterations": trained.iterations,
+            "failures": self.task.failures,
+            "data_hash": self.data_hash,
+            "amp": self.style.state_dict() if self.style is not None else {},
+        }
+        save_checkpoint(path, content)
+
+    def learn(self, progress: Progress, path: Path) -> None:
+        """PPO until the budget is spent, with AMP if the preset wants it."""
+        style = self.style
+        watchers = (lambda _: style.update(),) if style is not None else ()
+        learn(
+            TeacherEnvironment(self.task),
+            self.ppo,
+            self.preset.ppo,
+            progress,
+            lambda: self.save(path, progress),
+            watchers,
+        )
+
+
 def train_teacher(
     clips: list[Clip],
     preset: TeacherPreset,
@@ -58,6 +129,7 @@ def train_teacher(
     *,
     minutes: float | None = None,
     resume: bool = False,
+    start: Path | None = None,
     seed: int = 0,
     threads: int | None = None,
 ) -> Path:
@@ -68,41 +140,25 @@ def train_teacher(
         preset: every setting.
         out: folder for checkpoint and event files.
         minutes: total wall time instead of the preset's, earlier runs included.
-        resume: go on from the checkpoint in ``out``.
+        resume: go on from the checkpoint in ``out``, time included.
+        start: begin with the networks of this checkpoint, with a fresh budget.
         seed: of all randomness.
         threads: CPU threads; all cores by default.
     """
-    torch.manual_seed(seed)
-    chosen = select_clips(clips, preset.categories, preset.mirror, preset.still_seconds)
-    task = make_task(load_reference(chosen), preset.task, seed, threads)
-    ppo = _new_ppo(preset.task.num_envs, preset.ppo)
-    path = out / CHECKPOINT
-    steps, trained = 0, 0.0
+    path = Path(out) / CHECKPOINT
+    trainer = TeacherTrainer(clips, preset, seed, threads)
+    trained = Trained()
     if resume:
-        content = load_checkpoint(path)
-        ppo.load(content["ppo"], None, strict=True)
-        steps, trained = content["steps"], content["minutes"]
-        if content["failures"].shape == task.failures.shape:
-            task.failures = content["failures"]
-    progress = Progress(out, minutes or preset.minutes, steps, trained)
-
-    def save() -> None:
-        save_checkpoint(
-            path,
-            {
-                "ppo": ppo.save(),
-                "hidden": list(preset.ppo.hidden),
-                "steps": progress.steps,
-                "minutes": progress.minutes,
-                "failures": task.failures,
-                "data_hash": clip_hash(chosen),
-            },
-        )
-
-    print(f"{len(chosen)} clips, {task.reference.num_frames / 50 / 60:.1f} minutes")
-    learn(TeacherEnvironment(task), ppo, preset.ppo, progress, save)
-    save()
-    progress.close()
+        trained = trainer.resume(path)
+    elif start is not None:
+        trained = Trained(steps=trainer.resume(start).steps)
+    budget = Budget(preset.minutes if minutes is None else minutes, preset.iterations)
+    progress = Progress(out, budget, trained)
+    try:
+        trainer.learn(progress, path)
+        trainer.save(path, progress)
+    finally:
+        progress.close()
     return path
 
 
@@ -118,8 +174,9 @@ def load_critic(path: Path, group: str) -> MLPModel:
 
 def _load(path: Path, part: str, group: str, outputs: int) -> MLPModel:
     content = load_checkpoint(path)
-    config = replace(PpoConfig(), hidden=tuple(content["hidden"]))
-    example = TensorDict({group: torch.zeros(1, TEACHER_SIZE)}, batch_size=[1])
-    model = mlp_model(example, group, outputs, config)
-    model.load_state_dict(content["ppo"][part])
+    with fitting(path):
+        config = replace(PpoConfig(), hidden=tuple(content["hidden"]))
+        example = TensorDict({group: torch.zeros(1, TEACHER_SIZE)}, batch_size=[1])
+        model = mlp_model(example, group, outputs, config)
+        model.load_state_dict(content["ppo"][part])
     return model
