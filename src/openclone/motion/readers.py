@@ -1,4 +1,8 @@
-"""One reader per file format, chosen by the file's suffix and, for npz, its arrays."""
+"""One reader per file format, chosen by the file's suffix and, for npz, its arrays.
+
+Recordings of humans become a `HumanMotion`, which needs retargeting; motions of the G1
+become a `Clip` directly.
+"""
 
 from __future__ import annotations
 
@@ -6,15 +10,60 @@ from collections.abc import Callable
 from pathlib import Path
 
 from openclone.errors import InputError
+from openclone.motion.clip import Clip, load_clip
+from openclone.motion.npz import array_names
 from openclone.motion.skeleton import HumanMotion
-from openclone.motion.sources import asf_amc, bvh, deepmimic
+from openclone.motion.skeleton_maps import map_files
+from openclone.motion.sources import (
+    amass,
+    asf_amc,
+    bvh,
+    deepmimic,
+    g1_csv,
+    gmr_npz,
+    mjlab_npz,
+    mvnx,
+)
 
 HUMAN: dict[str, Callable[[Path], HumanMotion]] = {
     ".bvh": bvh.read,
     ".amc": asf_amc.read,
     ".txt": deepmimic.read,
     ".json": deepmimic.read,
+    ".mvnx": mvnx.read,
 }
+"""Suffix -> reader of human recordings; ``.npz`` is told apart by its arrays."""
+SUFFIXES = (*HUMAN, ".csv", ".npz")
+"""Suffixes of files that may hold a motion."""
+_SUPPORTED = (
+    "use .bvh, .amc (with its .asf beside it), .mvnx, AMASS .npz, DeepMimic's .txt or "
+    ".json; or G1 motions: clips, .csv, .npz of mjlab, BeyondMimic or GMR"
+)
+_PICKLES = (".pkl", ".pickle", ".p", ".pt", ".pth")
+
+
+def is_robot_motion(path: Path) -> bool:
+    """Whether the file is a motion of the G1 rather than of a human.
+
+    Raises:
+        InputError: an ``.npz`` file is missing or damaged.
+    """
+    suffix = path.suffix.lower()
+    return suffix == ".csv" or (
+        suffix == ".npz" and not amass.is_amass(array_names(path))
+    )
+
+
+def source_files(path: Path) -> list[Path]:
+    """All files that decide what `read_motion` makes of ``path``, itself first.
+
+    Raises:
+        InputError: an ``.amc`` file lacks its skeleton.
+    """
+    files = [path]
+    if path.suffix.lower() == ".amc":
+        files.append(asf_amc.skeleton_path(path))
+    return files + map_files(path)
 
 
 def read_recording(path: Path) -> HumanMotion:
@@ -23,11 +72,58 @@ def read_recording(path: Path) -> HumanMotion:
     Raises:
         InputError: the suffix is unknown or the file malformed.
     """
-    reader = HUMAN.get(path.suffix.lower())
-    if reader is None:
+    motion = read_motion(path)
+    if isinstance(motion, Clip):
         raise InputError(
-            f"no reader for {path.suffix or 'a file without suffix'!r}",
+            "this is a motion of the G1, not a human recording",
             where=str(path),
-            remedy="use .bvh, .amc (with its .asf beside it) or DeepMimic's .txt",
+            remedy="make it a clip with `openclone motions import`",
         )
-    return reader(path)
+    return motion
+
+
+def read_motion(path: Path) -> HumanMotion | Clip:
+    """Read a human recording or a motion of the G1, of any supported format.
+
+    A clip from a foreign format is named after its file; its category is "transition"
+    and its licence "unknown", since such files do not say.
+
+    Raises:
+        InputError: the suffix is unknown or the file malformed.
+    """
+    suffix = path.suffix.lower()
+    if suffix in HUMAN:
+        return HUMAN[suffix](path)
+    if suffix == ".csv":
+        return g1_csv.read(path)
+    if suffix == ".npz":
+        return _read_npz(path)
+    if suffix in _PICKLES:
+        raise InputError(
+            "pickle can run any code and is never read",
+            where=str(path),
+            remedy="convert the file to .npz with the program that wrote it",
+        )
+    raise InputError(
+        f"no reader for {path.suffix or 'a file without suffix'!r}",
+        where=str(path),
+        remedy=_SUPPORTED,
+    )
+
+
+def _read_npz(path: Path) -> HumanMotion | Clip:
+    names = array_names(path)
+    if "metadata" in names:
+        return load_clip(path)
+    if mjlab_npz.is_mjlab(names):
+        return mjlab_npz.read(path)
+    if gmr_npz.is_gmr(names):
+        return gmr_npz.read(path)
+    if amass.is_amass(names):
+        return amass.read(path)
+    shown = ", ".join(sorted(name[:40] for name in names)[:8])
+    raise InputError(
+        f"an npz file of an unknown kind, with {shown or 'no arrays'}",
+        where=str(path),
+        remedy=_SUPPORTED,
+    )
