@@ -58,6 +58,7 @@ class HeadSensors:
         self.now_ns = 0
         self._samples: list[ImuSample] = []
         self._motions: list[Motion] = []
+        self._complete: list[Motion] = []
         self._stamps: list[int] = []
         self._qpos: list[np.ndarray] = []
         self._observe()
@@ -97,10 +98,14 @@ class HeadSensors:
         sample = self.imu.update(self.now_ns, pose.position, pose.quat, np.abs(force))
         if sample is not None:
             self._samples.append(sample)
+        # The reading at a frame's end comes one step later, and the frame after it.
+        self._motions += self._complete
+        self._complete = []
         self._stamps.append(self.now_ns)
         self._qpos.append(data.qpos.copy())
         if len(self._stamps) > self._frame_steps:
-            self._motions.append(Motion(np.array(self._stamps), np.array(self._qpos)))
+            motion = Motion(np.array(self._stamps), np.array(self._qpos))
+            self._complete.append(motion)
             # A frame begins where the one before it ended.
             del self._stamps[:-1], self._qpos[:-1]
 

@@ -4,23 +4,38 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Literal
 
 import numpy as np
 
+from openclone.errors import InputError
 from openclone.odometry.ground_truth import GroundTruthOdometry
 from openclone.odometry.noise import OdometryNoiseConfig
+from openclone.odometry.protocol import SensorOdometry
 from openclone.policy.bundle import Bundle
 from openclone.policy.controller import StudentController
 from openclone.robot.kinematics import Kinematics
 from openclone.robot.model import standing_qpos
 from openclone.simulation.robot import SimulatedRobot
+from openclone.simulation.sensors import HeadSensors, SensorConfig
+from openclone.simulation.worlds import World, build_world
 from openclone.spatial.clock import ManualClock, MonotonicClock
+from openclone.spatial.poses import Pose
 from openclone.teleop.calibration import measure_operator
+from openclone.teleop.lidar_odometry import (
+    InOrder,
+    LidarOdometry,
+    LidarOdometryConfig,
+    OdometryCost,
+    SensorOdometryName,
+)
 from openclone.teleop.loop import LoopConfig, LoopStats, TeleopLoop
 from openclone.teleop.messages import OperatorRecording, Subscriber, check_recording
 from openclone.teleop.operators.replay import ReplayConfig, ReplayOperator
 from openclone.teleop.recorder import TickLog, TickRecorder
 from openclone.teleop.robots.simulated import SimulatedLink
+
+OdometryName = Literal["ground-truth", "lio", "rko"]
 
 
 @dataclass(frozen=True)
@@ -29,6 +44,8 @@ class SessionConfig:
 
     loop: LoopConfig = field(default_factory=LoopConfig)
     replay: ReplayConfig = field(default_factory=ReplayConfig)
+    sensors: SensorConfig = field(default_factory=SensorConfig)
+    odometry: LidarOdometryConfig = field(default_factory=LidarOdometryConfig)
 
 
 @dataclass(frozen=True)
@@ -40,11 +57,13 @@ class SessionResult:
         log: all ticks as arrays.
         recording_time_s: (T,), seconds into the recording that the operator's frame
             of each tick shows; -1 before the first frame.
+        odometry_cost: what LiDAR odometry did and took; zeros without it.
     """
 
     stats: LoopStats
     log: TickLog
     recording_time_s: np.ndarray
+    odometry_cost: OdometryCost = field(default_factory=OdometryCost)
 
 
 def run_teleop(
@@ -58,6 +77,8 @@ def run_teleop(
     seed: int = 0,
     config: SessionConfig | None = None,
     robot: SimulatedRobot | None = None,
+    world: str = "flat",
+    odometry: OdometryName = "ground-truth",
 ) -> SessionResult:
     """Replay ``recording`` as the operator of a simulated G1, closed loop.
 
@@ -69,12 +90,17 @@ def run_teleop(
             (then everything is reproducible).
         subscribers: receive every tick; their ``put`` must return at once.
         noise: of the stand-in odometry (Eq. 2); None: exact positions.
-        seed: of that noise.
+        seed: of that noise, or of the sensors' errors.
         config: settings of the parts.
-        robot: the simulated robot to use, as it stands; None: a new one, standing.
+        robot: the simulated robot to use, as it stands; None: a new one, standing at
+            the origin of ``world``.
+        world: name of a world of `simulation.worlds`.
+        odometry: what closes the loop: the truth with ``noise``, FAST-LIO2 ("lio") or
+            rko_lio ("rko") on the simulated LiDAR and IMU.
 
     Raises:
-        InputError: the recording is malformed.
+        InputError: the recording is malformed, or there is no such world or odometry.
+        OpenCloneError: the LiDAR odometry does not start in this world.
     """
     check_recording(recording)
     config = config or SessionConfig()
@@ -86,24 +112,70 @@ def run_teleop(
         )
         calibration = replace(calibration, operator=operator_body)
         loop_config = replace(loop_config, calibration=calibration)
+    surroundings = World("given", robot.model) if robot else build_world(world)
     if robot is None:
-        robot = SimulatedRobot()
+        robot = SimulatedRobot(surroundings.model)
         robot.reset(standing_qpos())
-    odometry = GroundTruthOdometry(noise, np.random.default_rng(seed))
+    source = _odometry(odometry, robot, surroundings, config, noise, seed, realtime)
     operator = ReplayOperator(recording, config.replay, realtime=realtime)
     recorder = TickRecorder()
     loop = TeleopLoop(
         operator,
-        SimulatedLink(robot, odometry),
-        odometry,
+        SimulatedLink(robot, source),
+        source,
         StudentController(bundle),
         MonotonicClock() if realtime else ManualClock(),
         config=loop_config,
         kinematics=Kinematics(robot.model),
         subscribers=(recorder, *subscribers),
     )
-    stats = loop.run(seconds)
+    cost = OdometryCost()
+    try:
+        stats = loop.run(seconds)
+    finally:
+        if isinstance(source, LidarOdometry):
+            source.close()
+            cost = source.cost()
     log = recorder.log()
     shown = operator.recording_time(log.operator_stamp_ns)
     shown = np.where(log.operator_stamp_ns < 0, -1.0, shown)
-    return SessionResult(stats, log, shown)
+    return SessionResult(stats, log, shown, cost)
+
+
+def _odometry(
+    name: OdometryName,
+    robot: SimulatedRobot,
+    world: World,
+    config: SessionConfig,
+    noise: OdometryNoiseConfig | None,
+    seed: int,
+    realtime: bool,
+) -> GroundTruthOdometry | LidarOdometry:
+    """The odometry of that name, started."""
+    if name == "ground-truth":
+        return GroundTruthOdometry(noise, np.random.default_rng(seed))
+    estimator = make_estimator(name)
+    sensors = HeadSensors(robot, world, seed, config.sensors)
+    odometry = LidarOdometry(
+        sensors, estimator, robot.model, config.odometry, realtime=realtime
+    )
+    odometry.begin(Pose(*robot.base_pose()), robot.reading().joint_angles)
+    return odometry
+
+
+def make_estimator(name: SensorOdometryName) -> SensorOdometry:
+    """FAST-LIO2, compiled, or rko_lio.
+
+    Raises:
+        InputError: there is no such odometry, or its package is missing.
+    """
+    # Both pull in libraries that a session without LiDAR does not need.
+    if name == "lio":
+        from openclone.odometry.fast_lio import FastLio
+
+        return FastLio()
+    if name == "rko":
+        from openclone.odometry.rko import RkoLio
+
+        return InOrder(RkoLio())
+    raise InputError(f"unknown odometry {name!r}", remedy="use ground-truth, lio, rko")
