@@ -3,6 +3,7 @@
 import numpy as np
 import torch
 
+from openclone.odometry.faults import OdometryFaultsConfig
 from openclone.odometry.noise import OdometryNoiseConfig
 from openclone.policy.command import Command, KeyPoints
 from openclone.policy.controller import StudentController
@@ -93,3 +94,30 @@ def test_ended_episodes_start_with_a_fresh_history(make_task, reference):
     assert torch.equal(frames[0, 0], frames[0, 24])
     assert not torch.equal(frames[1, 0], frames[1, 1])
     assert float(view.action[0].abs().max()) == 0.0
+
+
+def test_odometry_faults_reach_the_command_only(make_task):
+    held = OdometryFaultsConfig(scan_rate_hz=10.0, propagation=False)
+    views = [
+        StudentView(
+            make_task(3, push_speed=0.0, displaced_share=0.0),
+            25,
+            QUIET,
+            np.random.default_rng(0),
+            faults,
+        )
+        for faults in (None, held)
+    ]
+    stale = 0.0
+    for _ in range(12):
+        plain, faulty = (view.observe() for view in views)
+        # Nine numbers: target minus measured position of head and hands.
+        difference = (faulty - plain)[:, :9].reshape(3, 3, 3)
+        torch.testing.assert_close(
+            difference, difference[:, :1].expand(-1, 3, -1), atol=1e-5, rtol=0
+        )
+        assert torch.equal(faulty[:, 9:], plain[:, 9:])
+        stale = max(stale, float(difference.abs().max()))
+        for view in views:
+            view.step(torch.full((3, 29), 0.1))
+    assert 1e-3 < stale < 0.1

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
+from openclone.odometry.faults import OdometryFaults, OdometryFaultsConfig
 from openclone.odometry.noise import OdometryNoise, OdometryNoiseConfig
 from openclone.policy import observation
 from openclone.policy.command import Command, KeyPoints
@@ -25,13 +26,28 @@ class StudentView:
         history: int,
         noise: OdometryNoiseConfig,
         rng: np.random.Generator,
+        faults: OdometryFaultsConfig | None = None,
     ) -> None:
-        """Start with each robot's first frame."""
+        """Start with each robot's first frame.
+
+        Args:
+            task: the robots.
+            history: frames of history.
+            noise: the odometry's error, Eq. 2.
+            rng: source of the odometry's errors.
+            faults: what else is wrong with it; None: nothing.
+        """
         self.task = task
         self._default = torch.tensor(g1.DEFAULT_POSE, dtype=torch.float32)
         self._scale = task.action_scale
         self._noise = OdometryNoise(task.num_envs, noise, rng)
         self._error = torch.zeros(task.num_envs, 1, 3)
+        self._faults = None
+        if faults is not None and faults != OdometryFaultsConfig():
+            # A stream of its own leaves the draws of Eq. 2 as they are without faults.
+            stream = rng.spawn(1)[0]
+            start = self._head_position()
+            self._faults = OdometryFaults(start, faults, CONTROL_PERIOD, stream)
         self.action = torch.zeros(task.num_envs, g1.NUM_JOINTS)
         self.history = History(self._frame(), history)
 
@@ -80,11 +96,23 @@ class StudentView:
         robot = self.task.robot_state()
         ids = torch.nonzero(result.done).squeeze(-1)
         self.action[ids] = 0.0
-        self._noise.reset(ids.numpy())
-        velocity = key_point_velocities(robot)[:, 0].numpy()
-        error = self._noise.step(velocity, CONTROL_PERIOD)
-        self._error = torch.from_numpy(error.astype(np.float32))[:, None]
+        self._measure(ids.numpy(), key_point_velocities(robot)[:, 0].numpy())
         frame = self._frame()
         self.history.push(frame)
         self.history.refill(ids, frame[ids])
         return result
+
+    def _head_position(self) -> np.ndarray:
+        robot = self.task.robot_state()
+        points, _ = key_point_poses(robot.body_position, robot.body_quat)
+        return points[:, 0].double().numpy()
+
+    def _measure(self, born: np.ndarray, velocity: np.ndarray) -> None:
+        """New odometry error of the head; ``born`` robots start without any."""
+        self._noise.reset(born)
+        error = self._noise.step(velocity, CONTROL_PERIOD)
+        if self._faults is not None:
+            position = self._head_position()
+            self._faults.reset(born, position[born])
+            error = self._faults.step(position, error) - position
+        self._error = torch.from_numpy(error.astype(np.float32))[:, None]
