@@ -13,7 +13,7 @@ import sample_recordings as samples
 from scipy.spatial.transform import Rotation
 
 from openclone.errors import InputError
-from openclone.motion import readers
+from openclone.motion import library, readers
 from openclone.motion.clip import Clip, ClipInfo, clip_from_qpos, load_clip, save_clip
 from openclone.motion.sources import g1_csv, gmr_npz, mjlab_npz
 from openclone.robot import g1
@@ -146,6 +146,26 @@ def test_the_robot_in_mjlab_has_our_order() -> None:
     model = build_model(floor=False)
     assert list(robot.body_names) == [model.body(k).name for k in range(1, model.nbody)]
     assert list(robot.joint_names) == list(g1.JOINT_NAMES)
+
+
+def test_a_data_set_may_hold_foreign_clips(tmp_path: Path) -> None:
+    clip = make_clip(fps=30.0)
+    g1_csv.write(clip, tmp_path / "m.csv")
+    (tmp_path / "notes.csv").write_text("a,b\n")
+    (tmp_path / "notes.txt").write_text("hello")
+    (tmp_path / "walk.txt").write_text(samples.deepmimic())
+    found = sorted(p.name for p in tmp_path.iterdir() if readers.looks_like_motion(p))
+    assert found == ["m.csv", "walk.txt"]
+    header = "\t".join(library.COLUMNS)
+    row = "train\tturn\tm.csv\tcsv\t2\tCC0 (a test)"
+    (tmp_path / library.MANIFEST).write_text(f"{header}\n{row}\n")
+    lines: list[str] = []
+    loaded = library.load_clips(tmp_path, "train", None, tmp_path / "c", lines.append)
+    if not loaded:  # the gate may reject a made-up motion, with a reason
+        assert "left out" in lines[0]
+        return
+    assert loaded[0].info == ClipInfo("m", "turn", "m.csv", "CC0 (a test)", 50.0)
+    assert np.array_equal(loaded[0].qpos, clip.resampled(50.0).qpos)
 
 
 @pytest.mark.parametrize(

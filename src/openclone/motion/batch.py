@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -184,7 +184,7 @@ def measure_clip(clip: Clip) -> ClipQuality:
 
 def work(job: Job) -> Outcome:
     """Do one job in this process."""
-    from openclone.motion.library import read_recording
+    from openclone.motion.readers import read_motion
     from openclone.motion.retarget import follow
 
     try:
@@ -192,7 +192,12 @@ def work(job: Job) -> Outcome:
             clip = load_clip(job.path)
             quality = measure_clip(clip)
         else:
-            clip, quality = follow(read_recording(job.path), job.info, _solver())
+            motion = read_motion(job.path)
+            if isinstance(motion, Clip):  # the G1's already, in a foreign format
+                clip = replace(motion.resampled(job.info.fps), info=job.info)
+                quality = measure_clip(clip)
+            else:
+                clip, quality = follow(motion, job.info, _solver())
             save_clip(clip, job.result.with_suffix(".npz"))
     except InputError as error:
         return Outcome(job, None, str(error))

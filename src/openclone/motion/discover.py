@@ -12,6 +12,7 @@ from openclone.errors import InputError
 from openclone.motion import library
 from openclone.motion.clip import CATEGORIES, ClipInfo, load_clip
 from openclone.motion.library import Entry
+from openclone.motion.readers import looks_like_motion
 from openclone.motion.splits import performance_of
 from openclone.motion.targets import FPS
 
@@ -112,7 +113,7 @@ def _in_source(source: Path, category: str, licence: str) -> list[Recording]:
             for entry in library.read_manifest(source)
         ]
     if source.is_dir():
-        paths = sorted(p for p in source.rglob("*") if _is_motion(p))
+        paths = sorted(p for p in source.rglob("*") if looks_like_motion(p))
         root = source
     elif source.is_file():
         paths, root = [source], source.parent
@@ -124,15 +125,6 @@ def _in_source(source: Path, category: str, licence: str) -> list[Recording]:
         kind = category or guess_category(name)
         found.append(_recording(Entry(name, path, "", kind, licence), "", category))
     return found
-
-
-def _is_motion(path: Path) -> bool:
-    """Whether a file in a searched folder is to be read.
-
-    Text files may be anything, so DeepMimic's ``.txt`` needs a manifest.
-    """
-    suffix = path.suffix.lower()
-    return suffix in library.suffixes() and suffix not in (".txt", ".json", ".csv")
 
 
 def _performances(root: Path) -> dict[Path, str]:

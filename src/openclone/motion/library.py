@@ -24,8 +24,8 @@ from openclone.motion.batch import (
 )
 from openclone.motion.clip import CATEGORIES, Clip, ClipInfo, load_clip
 from openclone.motion.quality import Gate, faults
-from openclone.motion.skeleton import HumanMotion
-from openclone.motion.sources import asf_amc, bvh, deepmimic
+from openclone.motion.readers import SUFFIXES, source_files
+from openclone.motion.readers import read_recording as read_recording
 from openclone.motion.targets import FPS
 
 MANIFEST = "manifest.tsv"
@@ -33,12 +33,6 @@ COLUMNS = ("split", "category", "path", "format", "seconds", "licence")
 MAX_ROWS = 100_000
 _GATE = Gate(min_seconds=0.0)
 """A manifest may list short recordings on purpose."""
-_READERS: dict[str, Callable[[Path], HumanMotion]] = {
-    ".bvh": bvh.read,
-    ".amc": asf_amc.read,
-    ".txt": deepmimic.read,
-    ".json": deepmimic.read,
-}
 
 
 @dataclass(frozen=True)
@@ -64,25 +58,9 @@ def default_cache() -> Path:
     return Path(base) / "openclone" / "clips"
 
 
-def read_recording(path: Path) -> HumanMotion:
-    """Read a human recording of any supported format.
-
-    Raises:
-        InputError: the suffix is unknown or the file malformed.
-    """
-    reader = _READERS.get(path.suffix.lower())
-    if reader is None:
-        raise InputError(
-            f"no reader for {path.suffix or 'a file without suffix'!r}",
-            where=str(path),
-            remedy="use .bvh, .amc (with its .asf beside it) or DeepMimic's .txt",
-        )
-    return reader(path)
-
-
 def suffixes() -> tuple[str, ...]:
     """Lower-case suffixes of files that may hold a motion."""
-    return (*dict.fromkeys((*_READERS, ".npz")),)
+    return SUFFIXES
 
 
 def _entry(row: dict[str, str | None], root: Path, where: str) -> Entry:
@@ -186,13 +164,10 @@ def job_of(entry: Entry, cache: Path) -> Job:
     """
     from openclone.motion.retarget import VERSION
 
-    files = [entry.path]
-    if entry.path.suffix.lower() == ".amc":
-        files.append(asf_amc.skeleton_path(entry.path))
     source = entry.name + entry.path.suffix
     info = ClipInfo(entry.name, entry.category, source, entry.licence, FPS)
     ready = is_clip(entry.path)
-    digest = digest_of(files, "clip" if ready else str(VERSION))
+    digest = digest_of(source_files(entry.path), "clip" if ready else str(VERSION))
     return Job(info, entry.path, cache / digest, ready)
 
 

@@ -39,19 +39,26 @@ _SUPPORTED = (
     "use .bvh, .amc (with its .asf beside it), .mvnx, AMASS .npz, DeepMimic's .txt or "
     ".json; or G1 motions: clips, .csv, .npz of mjlab, BeyondMimic or GMR"
 )
+_SNIFFED = 65_536
+"""Bytes that are looked into to tell what a file is."""
 _PICKLES = (".pkl", ".pickle", ".p", ".pt", ".pth")
 
 
-def is_robot_motion(path: Path) -> bool:
-    """Whether the file is a motion of the G1 rather than of a human.
+def looks_like_motion(path: Path) -> bool:
+    """Whether a file found in a folder is to be read as a motion.
 
-    Raises:
-        InputError: an ``.npz`` file is missing or damaged.
+    Suffixes that other files have too (.txt, .json, .csv) are looked into.
     """
     suffix = path.suffix.lower()
-    return suffix == ".csv" or (
-        suffix == ".npz" and not amass.is_amass(array_names(path))
-    )
+    if suffix not in SUFFIXES or not path.is_file():
+        return False
+    if suffix not in (".txt", ".json", ".csv"):
+        return True
+    with path.open("rb") as stream:
+        start = stream.read(_SNIFFED)
+    if suffix == ".csv":
+        return start.split(b"\n")[0].count(b",") == g1_csv.COLUMNS - 1
+    return b'"Frames"' in start
 
 
 def source_files(path: Path) -> list[Path]:
