@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import chain, islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -20,7 +21,9 @@ def make_odometry(kind: Literal["lio", "rko"]) -> SensorOdometry:
 
         return RkoLio()
     from openclone.odometry.fast_lio import FastLio
+    from openclone.odometry.warmup import warm_up
 
+    warm_up()
     return FastLio()
 
 
@@ -55,10 +58,12 @@ def odometry_run(
 
     topics = Topics(imu_topic, lidar_topic, reference_topic)
     samples = read_samples(file, topics=topics, unit=imu_unit)
+    # A file of another kind is refused before anything is compiled.
+    first = list(islice(samples, 1))
     result = Replay()
     engine = make_odometry(odometry)
     try:
-        replay(samples, engine, result, _print_progress)
+        replay(chain(first, samples), engine, result, _print_progress)
     except InputError as error:
         if result.tracked == 0:
             raise

@@ -20,6 +20,8 @@ _UNIT_SAMPLES = 100
 _PENDING_LIMIT = 400
 _MAX_SCAN_NS = 2_000_000_000
 _MAX_RANGE_M = 10_000.0
+_MAX_VALUE = 1e7
+"""Beyond anything measured in rad/s, m/s² or metres; damaged files hold 1e200."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,13 +94,16 @@ def check_sample(sample: SensorSample, where: str) -> None:
         else {"position": (sample.position, 3), "orientation": (sample.quat, 4)}
     )
     for name, (value, size) in parts.items():
-        if value.shape != (size,) or not np.isfinite(value).all():
+        # The comparison is False for NaN as well.
+        if value.shape != (size,) or not (np.abs(value) <= _MAX_VALUE).all():
             raise InputError(
                 f"{name} is {value.tolist()}",
                 where=where,
-                remedy=f"{size} finite numbers are needed",
+                remedy=f"{size} finite numbers of a possible size are needed",
             )
-    if isinstance(sample, PoseSample) and np.linalg.norm(sample.quat) < 0.5:
+    if isinstance(sample, PoseSample) and not (
+        0.9 < float(np.linalg.norm(sample.quat)) < 1.1
+    ):
         raise InputError(
             f"orientation {sample.quat.tolist()} is no unit quaternion", where=where
         )
@@ -140,16 +145,18 @@ def scans_after_imu(samples: Iterable[SensorSample]) -> Iterator[SensorSample]:
     cannot stop the stream.
     """
     waiting: deque[LidarScan] = deque()
+    imu_ns: int | None = None
     for sample in samples:
         if isinstance(sample, LidarScan):
             waiting.append(sample)
-            if len(waiting) > 10:
-                yield waiting.popleft()
-            continue
-        yield sample
-        if isinstance(sample, ImuSample):
-            while waiting and stamp_of(waiting[0]) <= sample.stamp_ns:
-                yield waiting.popleft()
+        else:
+            yield sample
+            if isinstance(sample, ImuSample):
+                imu_ns = sample.stamp_ns
+        while waiting and (
+            len(waiting) > 10 or (imu_ns is not None and stamp_of(waiting[0]) <= imu_ns)
+        ):
+            yield waiting.popleft()
     yield from waiting
 
 
