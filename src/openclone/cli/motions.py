@@ -1,11 +1,12 @@
-"""Commands that make motions: motions synthesize, motions retarget."""
+"""Commands that make and convert motions: synthesize, retarget, export, import."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from openclone.cli.options import load_clips, positive, synthetic_clips
+from openclone.errors import InputError
 
 if TYPE_CHECKING:
     from openclone.motion.clip import Clip
@@ -45,8 +46,8 @@ def motions_retarget(
     """Turn a human recording, or a folder with a manifest, into clips of the G1.
 
     Args:
-        source: recording (.bvh, .amc with its .asf beside it, DeepMimic .txt), or a
-            folder with a manifest.tsv.
+        source: recording (.bvh, .amc with its .asf beside it, .mvnx, AMASS .npz,
+            DeepMimic .txt), or a folder with a manifest.tsv.
         out: folder for the clips.
         category: what a single recording shows.
         licence: licence and credit of a single recording.
@@ -67,3 +68,71 @@ def motions_retarget(
     clip, quality = retarget(motion, info)
     save_clip(clip, out / file_name(clip))
     print(f"{out / file_name(clip)}: {clip.seconds:.1f} s, {quality}")
+
+
+def motions_export(
+    clip: Path,
+    /,
+    *,
+    format: Literal["csv", "mjlab", "beyondmimic", "gmr"],
+    out: Path,
+    fps: float | None = None,
+) -> None:
+    """Write a clip in another project's format.
+
+    Args:
+        clip: the clip file.
+        format: csv: position, quaternion xyzw and 29 joints per row (Unitree's sets,
+            mjlab's csv_to_npz); mjlab, beyondmimic: npz for training, with MuJoCo's or
+            Isaac Lab's order of joints; gmr: npz with GMR's arrays.
+        out: file to write.
+        fps: frames per second; by default 30 for csv, 50 for mjlab and beyondmimic.
+    """
+    from openclone.motion.clip import load_clip
+    from openclone.motion.exports import export
+
+    positive("--fps", fps)
+    written = export(load_clip(clip), format, out, fps)
+    print(f"{out}: {written.num_frames} frames at {written.info.fps:g} Hz")
+
+
+def motions_import(
+    source: Path,
+    /,
+    *,
+    out: Path,
+    category: str = "transition",
+    licence: str = "unknown",
+    fps: float | None = None,
+) -> None:
+    """Make a clip of a G1 motion in another project's format.
+
+    Human recordings need `openclone motions retarget` instead.
+
+    Args:
+        source: G1 .csv, or .npz of mjlab, BeyondMimic or GMR.
+        out: clip file to write (.npz).
+        category: what the motion shows.
+        licence: licence and credit of the motion.
+        fps: frames per second of a .csv, which does not say; by default 30.
+    """
+    from dataclasses import replace
+
+    from openclone.motion.clip import Clip, save_clip
+    from openclone.motion.readers import read_motion
+    from openclone.motion.sources import g1_csv
+
+    positive("--fps", fps)
+    table = source.suffix.lower() == ".csv"
+    if fps and not table:
+        raise InputError("--fps is for .csv", remedy="leave it out: the file says it")
+    motion = g1_csv.read(source, fps) if fps else read_motion(source)
+    if not isinstance(motion, Clip):
+        raise InputError(
+            "this is a human recording",
+            where=str(source),
+            remedy="use `openclone motions retarget`",
+        )
+    info = replace(motion.info, category=category, licence=licence)
+    save_clip(replace(motion, info=info), out)
+    print(f"{out}: {motion.num_frames} frames at {motion.info.fps:g} Hz")

@@ -55,9 +55,7 @@ def read(path: Path, fps: float = FPS) -> Clip:
 
 
 def write(clip: Clip, path: Path) -> None:
-    """Write ``clip``, which is resampled to 30 Hz; numbers are written exactly."""
-    if clip.info.fps != FPS:
-        clip = clip.resampled(FPS)
+    """Write ``clip`` at its own frame rate; numbers are written exactly."""
     rows = np.concatenate(
         (clip.root_position, clip.root_quat[:, [1, 2, 3, 0]], clip.joint_angles), axis=1
     )
