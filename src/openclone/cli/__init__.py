@@ -15,7 +15,12 @@ from openclone.cli.curation import motions_build, motions_inspect
 from openclone.cli.facts import policy_info, robot_joints, version
 from openclone.cli.learning import train_student, train_teacher
 from openclone.cli.measuring import evaluate_standing, evaluate_tracking
-from openclone.cli.motions import motions_retarget, motions_synthesize
+from openclone.cli.motions import (
+    motions_export,
+    motions_import,
+    motions_retarget,
+    motions_synthesize,
+)
 from openclone.cli.odometry import odometry_run
 from openclone.cli.running import demo, teleop, view
 from openclone.errors import InputError, OpenCloneError
@@ -32,6 +37,8 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "motions retarget": motions_retarget,
     "motions build": motions_build,
     "motions inspect": motions_inspect,
+    "motions export": motions_export,
+    "motions import": motions_import,
     "odometry run": odometry_run,
     "policy info": policy_info,
     "robot joints": robot_joints,
