@@ -170,17 +170,17 @@ class World:
             quat = rotations.multiply(quat, np.array((0.0, 1.0, 0.0, 0.0)))
         return self.motion.position(t), quat
 
-    def imu(self, t: float) -> tuple[np.ndarray, np.ndarray]:
-        """Gyro and accelerometer sample."""
-        s, time = self.sensors, np.array(t)
+    def imu(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Gyro and accelerometer samples ``(n, 3)``."""
+        s = self.sensors
         rate = self.motion.rate(time)
         force = self.motion.acceleration(time) - GRAVITY
         felt = rotations.rotate_inverse(self.pose(time)[1], force)
         if s.inverted:
             rate = rate * np.array((1.0, -1.0, -1.0))
-        gyro = rate + s.gyro_bias + s.gyro_sigma * self.rng.standard_normal(3)
-        accel = felt + s.accel_bias + s.accel_sigma * self.rng.standard_normal(3)
-        return gyro, accel
+        noise = self.rng.standard_normal((2, *rate.shape))
+        gyro = rate + s.gyro_bias + s.gyro_sigma * noise[0]
+        return gyro, felt + s.accel_bias + s.accel_sigma * noise[1]
 
     def scan(self, start: float, period: float = 0.1) -> tuple[np.ndarray, np.ndarray]:
         """Points ``(n, 3)`` in the LiDAR frame and their stamps, in 1 ms steps."""
@@ -222,12 +222,13 @@ class Event:
 def stream(world: World, seconds: float, begin: float = 0.0) -> list[Event]:
     """All messages of a run, in order; the IMU comes first where both are due."""
     events = []
-    period = 1.0 / world.sensors.imu_hz
-    for k in range(round(seconds / period) + 1):
-        t = begin + k * period
-        gyro, accel = world.imu(t)
-        events.append(Event(t, gyro=gyro, accel=accel))
-        if k and round(t * 1000) % 100 == 0 and t - begin >= 0.1 - 1e-9:
+    times = begin + np.arange(round(seconds * world.sensors.imu_hz) + 1) / (
+        world.sensors.imu_hz
+    )
+    gyro, accel = world.imu(times)
+    for k, t in enumerate(times.tolist()):
+        events.append(Event(t, gyro=gyro[k], accel=accel[k]))
+        if k and k * 10 % world.sensors.imu_hz == 0:
             points, stamps = world.scan(t - 0.1)
             events.append(Event(t, points=points, stamps=stamps))
     return events

@@ -5,7 +5,7 @@ Single-threaded and without any idea of streams; `fast_lio` feeds it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 
 import numpy as np
@@ -106,6 +106,9 @@ class ScanReport:
         weakest_direction: (3,), world, unit.
         weakest_turn: rad, the same of the rotation.
         rejected: points with NaN or infinite coordinates.
+        turn_error: (3,), rad, rotation since the scan before that LiDAR alone saw
+            beyond the IMU's; IMU frame.
+        rate_change: (3,), rad/s, change of the rotation rate in that time.
     """
 
     verdict: Verdict
@@ -118,6 +121,8 @@ class ScanReport:
     weakest_direction: np.ndarray = field(default_factory=lambda: np.zeros(3))
     weakest_turn: float = np.inf
     rejected: int = 0
+    turn_error: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    rate_change: np.ndarray = field(default_factory=lambda: np.zeros(3))
 
 
 def weakest(information: np.ndarray) -> tuple[float, np.ndarray, float]:
@@ -134,6 +139,12 @@ def weakest(information: np.ndarray) -> tuple[float, np.ndarray, float]:
     shift_sigma = float(1.0 / np.sqrt(max(values[0], 1e-12)))
     turn_sigma = float(1.0 / np.sqrt(max(turns[0], 1e-12)))
     return shift_sigma, vectors[:, 0], turn_sigma
+
+
+def lidar_turn(evidence: Evidence) -> np.ndarray:
+    """Rotation ``(3,)`` to the best fit of the scan alone, without any prior."""
+    information = evidence.information[:6, :6] + np.diag((1.0,) * 3 + (1e2,) * 3)
+    return -np.linalg.solve(information, evidence.gradient[:6])[:3]
 
 
 def tilt_evidence(
@@ -165,6 +176,7 @@ class Estimator:
         self.state, self.covariance = state, covariance
         self.map = world
         self._noise = config.imu.as_array()
+        self._leftover = np.zeros(3)
 
     def advance(self, scan: Scan, interval: Interval) -> ScanReport:
         """Take in a scan; the state moves to its end unless it could not be used."""
@@ -185,10 +197,15 @@ class Estimator:
             self._extend(thinned, np.full(len(thinned.means), 2))
             return ScanReport(Verdict.GOOD, thinned.returns, rejected=thinned.rejected)
         matcher = Matcher(thinned, self.map, self.config.match)
-        state, covariance, evidence = self._update(predicted, prior, matcher, interval)
-        report = self._judge(predicted, prior, state, evidence, thinned)
+        first = matcher.evidence(predicted, prior, search=True)
+        state, covariance, last = self._update(
+            predicted, prior, first, matcher, interval
+        )
+        report = self._judge(predicted, prior, state, last, thinned)
         if report.verdict is Verdict.UNMATCHED:
             return report
+        report = self._compare_turns(report, predicted, first, interval)
+        self._leftover = lidar_turn(last)
         self._commit(scan.end_ns, state, covariance)
         if report.verdict is Verdict.GOOD:
             # A point off its plane may start a new cell, but must not bend old ones.
@@ -199,15 +216,19 @@ class Estimator:
         self,
         predicted: np.ndarray,
         prior: np.ndarray,
+        evidence: Evidence,
         matcher: Matcher,
         interval: Interval,
     ) -> tuple[np.ndarray, np.ndarray, Evidence]:
-        """The iterated update; also the evidence at its result."""
+        """The iterated update; also the evidence at its result.
+
+        ``evidence`` is the one at ``predicted``.
+        """
         config = self.config.update
-        state, covariance = predicted, prior
-        search = True
-        for _ in range(config.iterations):
-            evidence = matcher.evidence(state, prior, search=search)
+        state, covariance, search = predicted, prior, True
+        for iteration in range(config.iterations):
+            if iteration:
+                evidence = matcher.evidence(state, prior, search=search)
             information, gradient = evidence.information, evidence.gradient
             if interval.up is not None:
                 extra = tilt_evidence(state, interval.up, interval.up_sigma)
@@ -257,6 +278,22 @@ class Estimator:
             direction,
             turn,
             thinned.rejected,
+        )
+
+    def _compare_turns(
+        self,
+        report: ScanReport,
+        predicted: np.ndarray,
+        first: Evidence,
+        interval: Interval,
+    ) -> ScanReport:
+        """Add what LiDAR alone and the IMU alone say about the last rotation."""
+        before = self.state[m.ROT].reshape(3, 3)
+        now_from_before = predicted[m.ROT].reshape(3, 3).T @ before
+        return replace(
+            report,
+            turn_error=lidar_turn(first) - now_from_before @ self._leftover,
+            rate_change=interval.gyro[-1] - now_from_before @ interval.gyro[0],
         )
 
     def _commit(self, stamp_ns: int, state: np.ndarray, covariance: np.ndarray) -> None:

@@ -21,6 +21,7 @@ import numpy as np
 
 from openclone.errors import InputError
 from openclone.odometry import manifold as m
+from openclone.odometry.clock_offset import ClockConfig, ClockOffset
 from openclone.odometry.estimator import (
     Estimator,
     EstimatorConfig,
@@ -51,6 +52,7 @@ class FastLioConfig:
         estimator: noise, thinning, matching, map and update.
         start: static initialization.
         stream: limits of plausible IMU samples.
+        clock: search for an offset between the clocks of LiDAR and IMU.
         health: when the odometry calls itself lost.
         lidar_position: metres, the LiDAR's origin in the IMU frame.
         lidar_quat: wxyz, IMU from LiDAR.
@@ -65,6 +67,7 @@ class FastLioConfig:
     estimator: EstimatorConfig = field(default_factory=EstimatorConfig)
     start: StartConfig = field(default_factory=StartConfig)
     stream: ImuConfig = field(default_factory=ImuConfig)
+    clock: ClockConfig = field(default_factory=ClockConfig)
     health: HealthConfig = field(default_factory=HealthConfig)
     lidar_position: tuple[float, float, float] = MID360_IMU_FROM_LIDAR
     lidar_quat: tuple[float, float, float, float] = rotations.IDENTITY
@@ -112,6 +115,7 @@ class FastLio:
         self._waiting: list[Scan] = []
         self._tilts: deque[tuple[int, np.ndarray]] = deque(maxlen=1024)
         self._live = np.zeros(m.STATE_SIZE)
+        self._clock = ClockOffset(self.config.clock)
 
     def add_imu(self, stamp_ns: int, gyro: Any, accel: Any) -> None:
         """Take in an IMU sample.
@@ -224,9 +228,12 @@ class FastLio:
         estimator = self._estimator
         stamps = [s for s in (imu_ns, self._watch.scan_ns) if s is not None]
         now = max(stamps, default=0) if stamp_ns is None else int(stamp_ns)
-        covariance = None if estimator is None else estimator.covariance
+        covariance, blind = None, 0.0
+        if estimator is not None and imu_ns is not None:
+            covariance = estimator.covariance
+            blind = max(self._imu.longest_pause(estimator.stamp_ns), now - imu_ns)
         return self._watch.health(
-            now, imu_ns, pose_ns, covariance, self._imu.gaps, len(self._map)
+            now, blind * 1e-9, pose_ns, covariance, self._imu.gaps, len(self._map)
         )
 
     def _check_order(self, scan: Scan) -> None:
@@ -301,6 +308,7 @@ class FastLio:
         """Run the scans of the still second; the start fails if they show motion."""
         waiting, self._waiting = self._waiting, []
         config = self.config.start
+        path = [(estimator.stamp_ns, estimator.state)]
         for scan in waiting:
             report = estimator.advance(scan, self._interval(estimator, scan))
             speed = float(np.linalg.norm(estimator.state[m.VEL]))
@@ -312,8 +320,12 @@ class FastLio:
                 self._watch.wait(scan.end_ns, "not started: the sensor moves")
                 return
             self._watch.take(scan.end_ns, report)
+            path.append((estimator.stamp_ns, estimator.state))
         with self._lock:
             self._estimator = estimator
+            self._history.clear()
+            for stamp, state in path:
+                self._history.append(stamp, state, np.zeros(3))
             self._restart_live(estimator)
 
     def _publish(self, estimator: Estimator, scan: Scan, report: ScanReport) -> None:
@@ -322,6 +334,12 @@ class FastLio:
                 return
             self._watch.take(scan.end_ns, report)
             if report.verdict in (Verdict.GOOD, Verdict.DOUBTFUL):
+                late = self._clock.take(report.turn_error, report.rate_change)
+                if late:
+                    self._clock.clear()
+                    self._watch.clocks_differ(late)
+                    if self.config.clock.correct:
+                        self._imu.shift(-round(late * 1e9))
                 self._restart_live(estimator)
 
     def _restart_live(self, estimator: Estimator) -> None:

@@ -15,7 +15,7 @@ class HealthConfig:
 
     Attributes:
         max_scan_age: seconds since the newest scan that was used.
-        max_imu_age: seconds since the newest IMU sample.
+        max_imu_age: seconds without IMU sample since the newest scan.
         max_position_sigma: metres.
         max_turn_sigma: rad.
         min_agreement: share of the planes found that the points must lie on.
@@ -27,7 +27,7 @@ class HealthConfig:
         recovery_scans: good scans in a row that end a doubtful time.
     """
 
-    max_scan_age: float = 0.25
+    max_scan_age: float = 0.3
     max_imu_age: float = 0.1
     max_position_sigma: float = 0.05
     max_turn_sigma: float = 0.02
@@ -60,6 +60,7 @@ class LioHealth(OdometryHealth):
         dropped_points: points with NaN or infinite coordinates.
         imu_gaps: pauses of the IMU above 50 ms.
         restarts: new starts after a jump of the clock.
+        clock_offset_ns: how late the IMU's stamps were found to be.
         map_cells: size of the map.
     """
 
@@ -80,4 +81,5 @@ class LioHealth(OdometryHealth):
     dropped_points: int = 0
     imu_gaps: int = 0
     restarts: int = 0
+    clock_offset_ns: int = 0
     map_cells: int = 0

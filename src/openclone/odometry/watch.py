@@ -8,6 +8,11 @@ from openclone.odometry import manifold as m
 from openclone.odometry.estimator import ScanReport, Verdict
 from openclone.odometry.health import HealthConfig, LioHealth
 
+WALK_ACCEL = 5.0
+"""m/s², what a walker's head may do unseen."""
+WALK_TURN = 8.0
+"""rad/s², the same for turning."""
+
 
 class Watch:
     """Counters and the newest report of one odometry."""
@@ -15,7 +20,7 @@ class Watch:
     def __init__(self, config: HealthConfig) -> None:
         """Nothing has happened yet."""
         self._config = config
-        self.refused = self.restarts = 0
+        self.refused = self.restarts = self.clock_offset_ns = 0
         self._scans = self._skipped = self._dropped_points = 0
         self._begin()
 
@@ -64,24 +69,38 @@ class Watch:
         else:
             self._doubts = max(0, self._doubts - 1)
 
+    def clocks_differ(self, late: float) -> None:
+        """The IMU's stamps turned out to be ``late`` seconds behind the LiDAR's."""
+        self._doubts = self._config.recovery_scans
+        self._reason = f"the clocks of LiDAR and IMU differ by {late * 1e3:.0f} ms"
+        self.clock_offset_ns += round(late * 1e9)
+
     def health(
         self,
         now_ns: int,
-        imu_ns: int | None,
+        blind: float,
         pose_ns: int | None,
         covariance: np.ndarray | None,
         imu_gaps: int,
         map_cells: int,
     ) -> LioHealth:
-        """Health at ``now_ns``, given the newest sample, pose and covariance."""
+        """Health at ``now_ns``.
+
+        Args:
+            now_ns: nanoseconds.
+            blind: seconds, longest time without IMU sample since the covariance.
+            pose_ns: stamp of the newest pose.
+            covariance: (23, 23), of the filter at the newest scan used.
+            imu_gaps: pauses so far.
+            map_cells: size of the map.
+        """
         report = self._report
         scan_age = now_ns - self._used_ns if self._used_ns is not None else 0
-        imu_age = now_ns - imu_ns if imu_ns is not None else 0
         pose, sigma, turn = None, np.inf, np.inf
         if covariance is not None and np.isfinite(covariance).all():
             pose = covariance[:6, :6].copy()
-            sigma, turn = self._sigmas(covariance, scan_age * 1e-9, imu_age * 1e-9)
-        reason = self._why_lost(scan_age * 1e-9, imu_age * 1e-9, sigma, turn)
+            sigma, turn = self._sigmas(covariance, scan_age * 1e-9, blind)
+        reason = self._why_lost(scan_age * 1e-9, blind, sigma, turn)
         open_sigma = report.weakest_sigma if report else np.inf
         return LioHealth(
             tracking=not reason,
@@ -103,33 +122,37 @@ class Watch:
             dropped_points=self._dropped_points,
             imu_gaps=imu_gaps,
             restarts=self.restarts,
+            clock_offset_ns=self.clock_offset_ns,
             map_cells=map_cells,
         )
 
     @staticmethod
     def _sigmas(
-        covariance: np.ndarray, scan_age: float, imu_age: float
+        covariance: np.ndarray, scan_age: float, blind: float
     ) -> tuple[float, float]:
         """Standard deviations in metres and rad, grown since the newest scan.
 
         Without IMU samples the motion is unknown by a walker's accelerations.
         """
-        ahead, blind = max(scan_age, 0.0), max(imu_age, 0.0)
+        ahead = max(scan_age, 0.0)
         moved = covariance[m.E_POS, m.E_POS] + covariance[m.E_VEL, m.E_VEL] * ahead**2
-        position = np.sqrt(np.linalg.eigvalsh(moved)[-1]) + 0.5 * 3.0 * blind**2
+        position = np.sqrt(np.linalg.eigvalsh(moved)[-1])
         turn = np.sqrt(np.linalg.eigvalsh(covariance[m.E_ROT, m.E_ROT])[-1])
-        return float(position), float(turn + 0.5 * blind * min(blind, 0.05) / 0.05)
+        return (
+            float(position + 0.5 * WALK_ACCEL * blind**2),
+            float(turn + 0.5 * WALK_TURN * blind**2),
+        )
 
     def _why_lost(
-        self, scan_age: float, imu_age: float, sigma: float, turn: float
+        self, scan_age: float, blind: float, sigma: float, turn: float
     ) -> str:
         config = self._config
         if self._used_ns is None:
             return self._reason
         if scan_age > config.max_scan_age:
             return f"no usable scan for {scan_age:.2f} s"
-        if imu_age > config.max_imu_age:
-            return f"no IMU sample for {imu_age:.2f} s"
+        if blind > config.max_imu_age:
+            return f"no IMU sample for {blind:.2f} s"
         if self._doubts:
             return self._reason
         if not sigma <= config.max_position_sigma:

@@ -1,0 +1,6 @@
+"""Makes the room of boxes importable for the odometry tests."""
+
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent))
