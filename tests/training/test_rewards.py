@@ -289,6 +289,32 @@ def test_feet_still_asks_for_rest_only_when_the_command_rests(perfect):
     assert float(rewards.feet_still(perfect)) == pytest.approx(0.0, abs=1e-6)
 
 
+def test_a_foot_must_stand_when_the_references_foot_stands(perfect):
+    perfect.reference.body_velocity[:] = 0
+    perfect.reference.body_position[:, [LEFT, RIGHT], 2] = 0.035
+    loads(perfect, 100.0, 0.0)
+    assert float(rewards.contact_mismatch(perfect)) == 1.0
+    perfect.reference.body_position[:, RIGHT, 2] = 0.1
+    assert float(rewards.contact_mismatch(perfect)) == 0.0
+    loads(perfect, 100.0, 100.0)
+    assert float(rewards.contact_mismatch(perfect)) == 1.0
+    # Between standing and swinging nothing is asked.
+    perfect.reference.body_position[:, RIGHT, 2] = 0.06
+    assert float(rewards.contact_mismatch(perfect)) == 0.0
+
+
+def test_only_a_flight_that_the_reference_does_not_make_is_airborne(perfect):
+    perfect.reference.body_position[:, LEFT, 2] = 0.035
+    perfect.reference.body_position[:, RIGHT, 2] = 0.1
+    loads(perfect, 0.0, 0.0)
+    assert float(rewards.airborne(perfect)) == 1.0
+    loads(perfect, 0.0, 30.0)
+    assert float(rewards.airborne(perfect)) == 0.0
+    loads(perfect, 0.0, 0.0)
+    perfect.reference.body_position[:, LEFT, 2] = 0.1
+    assert float(rewards.airborne(perfect)) == 0.0
+
+
 # The tables --------------------------------------------------------------------------
 
 TERMS = {field.name for field in fields(RewardWeights)} - {"widths", "limit"}
@@ -314,7 +340,7 @@ def test_every_weight_has_a_term(perfect):
 
 
 def test_total_is_the_weighted_sum(perfect):
-    perfect.robot.body_position[:, :, 0] += 0.3
+    perfect.robot.body_position[:, :, 0] += 0.2
     weights = RewardWeights(root_position=2.0, body_position=0.5)
     total, terms = total_reward(perfect, weights)
     assert set(terms) == {"root_position", "body_position"}

@@ -28,12 +28,12 @@ class RewardWidths:
     dof_position_tracking: float = 0.25
     dof_velocity_tracking: float = 0.25
     extend_body_position: float = 0.5
-    vr_position: float = 0.25**2
+    vr_position: float = 0.2**2
     body_rotation: float = 0.4**2
     body_velocity: float = 1.0**2
     body_angular_velocity: float = 3.14**2
     body_position: float = 0.25**2
-    root_position: float = 0.3**2
+    root_position: float = 0.2**2
     root_rotation: float = 0.4**2
 
 
@@ -77,6 +77,8 @@ class RewardWeights:
     hand_rotation: float = 0.0
     dof_margin: float = 0.0
     feet_still: float = 0.0
+    contact_mismatch: float = 0.0
+    airborne: float = 0.0
     widths: RewardWidths = RewardWidths()
     limit: float = 10.0
 
@@ -129,7 +131,7 @@ FAST = RewardWeights(
     body_rotation=1.0,
     body_velocity=1.0,
     body_angular_velocity=1.0,
-    hand_rotation=-0.5,
+    hand_rotation=-2.0,
     lower_action_rate=-0.05,
     upper_action_rate=-0.05,
     dof_acceleration=-1e-7,
@@ -137,6 +139,8 @@ FAST = RewardWeights(
     torque=-1e-6,
     slippage=-0.1,
     feet_still=-0.5,
+    contact_mismatch=-0.5,
+    airborne=-2.0,
 )
 """What the shipped teacher was trained with."""
 
@@ -161,6 +165,8 @@ _PLAIN: tuple[Callable[[TrackingState], torch.Tensor], ...] = (
     rewards.hand_rotation,
     rewards.dof_margin,
     rewards.feet_still,
+    rewards.contact_mismatch,
+    rewards.airborne,
 )
 _CLOSENESS: tuple[Callable[[TrackingState, float], torch.Tensor], ...] = (
     rewards.vr_position,

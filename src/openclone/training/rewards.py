@@ -9,6 +9,7 @@ condition holds, joint by joint or foot by foot.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -49,6 +50,20 @@ class TrackingState:
     air_time: torch.Tensor
     style: torch.Tensor
     period: float
+
+    @cached_property
+    def point_offsets(self) -> torch.Tensor:
+        """(n, 3, 3), metres, world: head and hands minus their commands."""
+        points, _ = key_point_poses(self.robot.body_position, self.robot.body_quat)
+        wanted, _ = key_point_poses(
+            self.reference.body_position, self.reference.body_quat
+        )
+        return points - wanted
+
+    @cached_property
+    def angles(self) -> torch.Tensor:
+        """(n, 14), radians between each key body and its reference."""
+        return rotations.angle_between(self.robot.body_quat, self.reference.body_quat)
 
 
 def _closeness(squared_error: torch.Tensor, width: float) -> torch.Tensor:
@@ -194,15 +209,12 @@ def vr_position(s: TrackingState, width: float) -> torch.Tensor:
 
 def _point_errors(s: TrackingState) -> torch.Tensor:
     """Squared errors of head and hands, ``(n, 3)``, m²."""
-    points, _ = key_point_poses(s.robot.body_position, s.robot.body_quat)
-    wanted, _ = key_point_poses(s.reference.body_position, s.reference.body_quat)
-    return _squared(points - wanted)
+    return _squared(s.point_offsets)
 
 
 def body_rotation(s: TrackingState, width: float) -> torch.Tensor:
     """Body rotation of all key bodies; width in rad²."""
-    angle = rotations.angle_between(s.robot.body_quat, s.reference.body_quat)
-    return _closeness((angle**2).mean(-1), width)
+    return _closeness((s.angles**2).mean(-1), width)
 
 
 def body_velocity(s: TrackingState, width: float) -> torch.Tensor:
@@ -219,10 +231,7 @@ def body_angular_velocity(s: TrackingState, width: float) -> torch.Tensor:
 
 def body_hand_rotation(s: TrackingState) -> torch.Tensor:
     """Body hand rotation: squared angle of each hand's error, mean, rad²."""
-    angle = rotations.angle_between(
-        s.robot.body_quat[:, _WRISTS], s.reference.body_quat[:, _WRISTS]
-    )
-    return (angle**2).mean(-1)
+    return (s.angles[:, _WRISTS] ** 2).mean(-1)
 
 
 def amp(s: TrackingState) -> torch.Tensor:
@@ -258,10 +267,7 @@ def root_position(s: TrackingState, width: float) -> torch.Tensor:
 
 def root_rotation(s: TrackingState, width: float) -> torch.Tensor:
     """Torso orientation in the world; width in rad²."""
-    angle = rotations.angle_between(
-        s.robot.body_quat[:, g1.TORSO], s.reference.body_quat[:, g1.TORSO]
-    )
-    return _closeness(angle**2, width)
+    return _closeness(s.angles[:, g1.TORSO] ** 2, width)
 
 
 def hand_rotation(s: TrackingState) -> torch.Tensor:
@@ -286,3 +292,18 @@ def feet_still(s: TrackingState) -> torch.Tensor:
     speed = _squared(s.robot.body_velocity[:, _FEET]).clamp(max=1.0).sum(-1)
     lifted = (s.robot.foot_force[..., 2] < _CONTACT_N).float().sum(-1)
     return rest * (speed + 0.5 * lifted)
+
+
+def contact_mismatch(s: TrackingState) -> torch.Tensor:
+    """Feet that bear load where the reference clearly swings them, or the reverse."""
+    height = s.reference.body_position[:, _FEET, 2]
+    speed = s.reference.body_velocity[:, _FEET].norm(dim=-1)
+    stands, swings = (height < 0.05) & (speed < 0.3), height > 0.07
+    loaded = _loaded(s)
+    return ((stands & ~loaded) | (swings & loaded)).float().sum(-1)
+
+
+def airborne(s: TrackingState) -> torch.Tensor:
+    """In the air although the reference has a foot on the ground: no hopping gaits."""
+    low = s.reference.body_position[:, _FEET, 2].min(dim=-1).values < 0.06
+    return (~_loaded(s).any(-1) & low).float()
