@@ -14,7 +14,11 @@ from collections.abc import Callable
 from openclone.cli.curation import motions_build, motions_inspect
 from openclone.cli.facts import policy_info, robot_joints, version
 from openclone.cli.learning import train_student, train_teacher
-from openclone.cli.measuring import evaluate_standing, evaluate_tracking
+from openclone.cli.measuring import (
+    evaluate_odometry,
+    evaluate_standing,
+    evaluate_tracking,
+)
 from openclone.cli.motions import (
     motions_export,
     motions_import,
@@ -31,6 +35,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "view": view,
     "evaluate tracking": evaluate_tracking,
     "evaluate standing": evaluate_standing,
+    "evaluate odometry": evaluate_odometry,
     "train teacher": train_teacher,
     "train student": train_student,
     "motions synthesize": motions_synthesize,

@@ -1,9 +1,9 @@
-"""Commands that measure a policy: evaluate tracking, evaluate standing."""
+"""Commands that measure: evaluate tracking, evaluate standing, evaluate odometry."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from openclone.cli.options import (
     load_clips,
@@ -110,6 +110,43 @@ def evaluate_standing(
         seconds=seconds,
         noise=standing.DEFAULT_NOISE if noise else None,
         seed=seed,
+    )
+    print_figures(report.to_json())
+    write_figures(json, report.to_json())
+
+
+def evaluate_odometry(
+    *,
+    world: Literal["flat", "room", "corridor", "hall", "glass", "people"] = "room",
+    odometry: Literal["lio", "rko", "ground-truth"] = "lio",
+    seconds: float = 60.0,
+    realtime: bool = False,
+    policy: Path | None = None,
+    seed: int = 0,
+    json: Path | None = None,
+) -> None:
+    """Walk the simulated robot by LiDAR odometry; compare the odometry with the truth.
+
+    Args:
+        world: where it walks.
+        odometry: FAST-LIO2 (lio), rko_lio (rko), or the truth with Eq. 2's error.
+        seconds: how long; laps with stops, in the corridor straight ahead.
+        realtime: keep real time with threads; otherwise reproducible.
+        policy: policy bundle; the packaged student by default.
+        seed: of the sensors' errors.
+        json: write the figures to this file.
+    """
+    from openclone.evaluation import odometry as measuring
+    from openclone.policy.bundle import load_bundle
+
+    positive("--seconds", seconds)
+    report = measuring.evaluate_odometry(
+        load_bundle(policy),
+        world=world,
+        odometry=odometry,
+        seconds=seconds,
+        seed=seed,
+        realtime=realtime,
     )
     print_figures(report.to_json())
     write_figures(json, report.to_json())

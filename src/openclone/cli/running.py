@@ -48,6 +48,8 @@ def teleop(
     policy: Path | None = None,
     seconds: float | None = None,
     realtime: bool = True,
+    odometry: Literal["ground-truth", "lio", "rko"] = "ground-truth",
+    world: Literal["flat", "room", "corridor", "hall", "glass", "people"] | None = None,
     noise: bool = True,
     seed: int = 0,
     json: Path | None = None,
@@ -63,8 +65,11 @@ def teleop(
         policy: policy bundle; the packaged student by default.
         seconds: length of the run; by default until the recording ends.
         realtime: keep real time; otherwise as fast as possible and reproducible.
-        noise: add the odometry error of Eq. 2.
-        seed: of the odometry error.
+        odometry: what closes the loop: the simulator's truth, or FAST-LIO2 (lio) or
+            rko_lio (rko) on a simulated LiDAR and IMU.
+        world: where the robot is; by default flat ground, with a LiDAR the room.
+        noise: add the odometry error of Eq. 2 to the truth.
+        seed: of the odometry error, or of the simulated sensors.
         json: write the measurements to this file.
         record: write every tick to this .npz file.
         view: serve the browser view meanwhile.
@@ -90,8 +95,12 @@ def teleop(
             noise=OdometryNoiseConfig() if noise else None,
             seed=seed,
             config=performance.config,
+            world=world or ("flat" if odometry == "ground-truth" else "room"),
+            odometry=odometry,
         )
     figures = _session_figures(result, measure_session(performance, result))
+    if odometry != "ground-truth":
+        figures["odometry"] = _odometry_figures(result, odometry)
     write_figures(json, {"operator": operator, **figures})
     if record is not None:
         save_log(result.log, record)
@@ -110,6 +119,22 @@ def _session_figures(
         return {"loop": loop}
     print_figures(dict(zip(COLUMNS, table_row(report.overall), strict=True)))
     return {**report.to_json(), "loop": loop}
+
+
+def _odometry_figures(result: SessionResult, name: str) -> dict[str, object]:
+    """Print what the LiDAR odometry achieved, and return it."""
+    from openclone.evaluation.odometry import pose_errors
+
+    distance_mm, heading_deg = pose_errors(result.log)
+    figures: dict[str, object] = {
+        "name": name,
+        "mean_mm": float(distance_mm.mean()),
+        "max_mm": float(distance_mm.max()),
+        "heading_max_deg": float(heading_deg.max()),
+        **asdict(result.odometry_cost),
+    }
+    print_figures(figures)
+    return figures
 
 
 def demo(

@@ -172,7 +172,9 @@ def make_estimator(name: SensorOdometryName) -> SensorOdometry:
     # Both pull in libraries that a session without LiDAR does not need.
     if name == "lio":
         from openclone.odometry.fast_lio import FastLio
+        from openclone.odometry.warmup import warm_up
 
+        warm_up()
         return FastLio()
     if name == "rko":
         from openclone.odometry.rko import RkoLio
