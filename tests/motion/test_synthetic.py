@@ -313,14 +313,30 @@ def test_track_moves_add_up() -> None:
     assert np.allclose(values, [1.0, 1.0, 5.0, 12.0, 5.0])
 
 
-def test_same_seed_same_clips(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(synthetic, "CATEGORIES", ("stand", "turn"))
-    first = synthetic.default_set(5, minutes=0.1)
-    again = synthetic.default_set(5, minutes=0.1)
-    other = synthetic.default_set(6, minutes=0.1)
-    assert {clip.info.category for clip in first} == {"stand", "turn"}
+def test_same_seed_same_clips_whatever_the_workers(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    # Spawned processes import the module afresh: they know all the categories.
+    monkeypatch.setattr(synthetic, "CATEGORIES", ("stand", "forward"))
+    first = synthetic.default_set(5, minutes=0.3)
+    again = synthetic.default_set(5, minutes=0.3, workers=2)
+    other = synthetic.default_set(6, minutes=0.3)
+    assert {clip.info.category for clip in first} == {"stand", "forward"}
     assert len({clip.info.name for clip in first}) == len(first)
     assert clip_hash(first) == clip_hash(again) != clip_hash(other)
+    assert sum(clip.seconds for clip in first) >= 18.0
+    shapes = {clip.joint_angles[100].tobytes() for clip in first}
+    assert len(shapes) == len(first)
+
+
+def test_a_lower_pace_walks_slower() -> None:
+    def reach(pace: float) -> float:
+        rng = np.random.default_rng(2)
+        clip = synthetic.generate("forward", rng, pace=pace)
+        speed = np.linalg.norm(np.diff(clip.root_position[:, :2], axis=0), axis=1)
+        return float(np.convolve(speed * FPS, np.ones(50) / 50, "valid").max())
+
+    assert reach(0.4) < 0.6 * reach(1.0)
 
 
 def test_unknown_category_is_refused() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from openclone.cli.options import load_clips, positive, synthetic_clips
+from openclone.cli.options import load_clips, positive
 from openclone.errors import InputError
 
 if TYPE_CHECKING:
@@ -17,18 +17,25 @@ def file_name(clip: Clip) -> str:
     return f"{clip.info.name.replace('/', '__')}.npz"
 
 
-def motions_synthesize(*, out: Path, seed: int = 0, minutes: float = 10.0) -> None:
+def motions_synthesize(
+    *, out: Path, seed: int = 0, minutes: float = 30.0, workers: int | None = None
+) -> None:
     """Make the default synthetic motions and write them as clip files.
 
     Args:
         out: folder for the clips.
         seed: equal seeds give equal motions.
-        minutes: length of all motions together, roughly.
+        minutes: least length of all motions together.
+        workers: processes; one per core by default. The result is the same.
     """
+    from openclone.motion.batch import available_workers
     from openclone.motion.clip import save_clip
+    from openclone.motion.sources.synthetic import default_set
 
     positive("--minutes", minutes)
-    clips = synthetic_clips(seed, minutes)
+    positive("--workers", workers)
+    workers = workers or available_workers()
+    clips = default_set(seed, minutes, workers=1 if minutes < 3 else workers)
     for clip in clips:
         save_clip(clip, out / file_name(clip))
     total = sum(clip.seconds for clip in clips) / 60

@@ -96,6 +96,8 @@ class Choreography:
             ballistic: see `Plan`.
         """
         self.rng = rng
+        self.pace = 1.0
+        """Scale of the speeds that are drawn."""
         self.time_s = 0.0
         self.width, self.toe_out = width, toe_out
         self.body = np.zeros(3)

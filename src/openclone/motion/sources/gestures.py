@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
 
 import numpy as np
@@ -89,6 +91,45 @@ def wave(score: Choreography, side: int, start_s: float, seconds: float) -> None
     cycles = (seconds - 2 * up_s + 0.4) * rng.uniform(0.9, 1.6)
     score.arms.add(start_s + up_s - 0.2, end_s - up_s + 0.2, swing, oscillation(cycles))
     move_arm(score, side, before, end_s - up_s, end_s)
+
+
+def working_arms(rng: np.random.Generator, relaxed: np.ndarray) -> np.ndarray:
+    """(14,) one hand or both hold or point at something; the rest is ``relaxed``."""
+    arms = relaxed.copy()
+    sides = [0, 1] if rng.uniform() < 0.5 else [int(rng.integers(2))]
+    for side in sides:
+        if rng.uniform() < 0.5:
+            arm = reaching_arm(side, random_reach(rng, side))
+        else:
+            # The upper arm hangs; the bent forearm carries. The elbow is straight at
+            # 1.6 rad or so: this hinge is bent by smaller angles.
+            carried = [rng.uniform(-0.4, 0.1), rng.uniform(0.15, 0.4), 0.0]
+            carried += [rng.uniform(-0.3, 0.4), rng.uniform(-0.5, 0.5), 0.0, 0.0]
+            arm = mirrored(np.array(carried), side)
+        arms[arm_columns(side)] = arm
+    return arms
+
+
+@contextmanager
+def busy_arms(score: Choreography, chance: float) -> Iterator[None]:
+    """With this ``chance`` the arms work while what is inside goes on.
+
+    Halfway through they may change to another task; in the end they relax.
+    """
+    rng = score.rng
+    if rng.uniform() >= chance:
+        yield
+        return
+    relaxed, start_s = score.arms.end.copy(), score.time_s
+    score.arm_swing *= rng.uniform(0.0, 0.6)
+    yield
+    end_s = score.time_s
+    ready_s = rng.uniform(0.7, 1.2)
+    score.arms.move(start_s, start_s + ready_s, working_arms(rng, relaxed))
+    if rng.uniform() < 0.5:
+        middle_s = rng.uniform(start_s + ready_s, end_s - 1.6)
+        score.arms.move(middle_s, middle_s + 0.9, working_arms(rng, relaxed))
+    score.arms.move(end_s - 0.8, end_s + 0.2, relaxed)
 
 
 def raise_guard(score: Choreography, seconds: float) -> None:

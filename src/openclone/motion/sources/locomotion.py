@@ -44,13 +44,22 @@ def _narrow(score: Choreography) -> None:
 
 
 def _walk_at(score: Choreography, velocity: Velocity) -> None:
-    """Walk 2.5 to 6 seconds at ``velocity``, with steps that are a little unequal."""
+    """Walk 2.5 to 6 seconds at ``velocity``, with steps that are a little unequal.
+
+    A third of the walks carries something or points somewhere with the arms; a fifth
+    goes with bent knees, so that the head's height says nothing about the speed.
+    """
     rng = score.rng
+    velocity = velocity.scaled(score.pace)
     if velocity.sideways or velocity.turn:
         _narrow(score)
     gait = draw_gait(rng, velocity)
     gaits = [gait] * max(round(rng.uniform(2.5, 6.0) / gait.step_s), 4)
-    stroll(score, _uneven(rng, gaits), pelvis_height(rng, gait))
+    height = pelvis_height(rng, gait)
+    if rng.uniform() < 0.2:
+        height -= rng.uniform(0.02, 0.07)
+    with gestures.busy_arms(score, 0.35):
+        stroll(score, _uneven(rng, gaits), height)
 
 
 def _uneven(rng: np.random.Generator, gaits: list[Gait]) -> list[Gait]:
@@ -116,7 +125,8 @@ def crouchwalk(score: Choreography) -> None:
     score.hold(1.0)
     back = rng.uniform() < 0.2
     speed = -rng.uniform(0.1, 0.2) if back else rng.uniform(0.12, 0.4)
-    gait = draw_gait(rng, Velocity(speed, turn=_sometimes(rng, 0.3, 0.4)))
+    velocity = Velocity(speed, turn=_sometimes(rng, 0.3, 0.4)).scaled(score.pace)
+    gait = draw_gait(rng, velocity)
     gait = replace(gait, heel=rng.uniform(0.3, 0.5), toe_off=0.0, strike=0.0)
     steps = max(round(rng.uniform(2.5, 5.0) / gait.step_s), 4)
     walk(score, eased([gait] * steps))
@@ -137,9 +147,10 @@ def wander(score: Choreography) -> None:
         velocity = Velocity(
             ahead, _sometimes(rng, 0.3, 0.15), _sometimes(rng, 0.6, 0.9)
         )
-        gait = draw_gait(rng, velocity)
+        gait = draw_gait(rng, velocity.scaled(score.pace))
         share = step_s / gait.step_s
         gait = replace(gait, step_s=step_s, shift_s=share * gait.shift_s)
         gaits += [gait] * int(rng.integers(3, 6))
     lowest = min(pelvis_height(rng, gait) for gait in gaits)
-    stroll(score, _uneven(rng, gaits), lowest)
+    with gestures.busy_arms(score, 0.35):
+        stroll(score, _uneven(rng, gaits), lowest)

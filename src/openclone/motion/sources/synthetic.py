@@ -7,14 +7,17 @@ zero-moment point stays inside the soles, because the motions are planned that w
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
+import itertools
+import multiprocessing
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from openclone.errors import InputError
 from openclone.motion.clip import CATEGORIES, Clip, ClipInfo, clip_from_qpos
-from openclone.motion.sources import gestures, locomotion
+from openclone.motion.sources import actions, gestures, locomotion
 from openclone.motion.sources.choreography import FPS, Choreography
 from openclone.motion.sources.elbow_room import (
     LEFT_ROLL,
@@ -22,7 +25,6 @@ from openclone.motion.sources.elbow_room import (
     deepest_overlap,
     spread,
 )
-from openclone.motion.sources.jumping import jump
 from openclone.motion.sources.track import oscillation
 from openclone.motion.sources.whole_body import Plan, Unreachable, solve
 from openclone.robot import g1
@@ -37,7 +39,7 @@ _SHARES = {
 _MAX_OVERLAP = 0.005
 """Metres; a motion whose body parts overlap more is drawn anew."""
 _SHORTEST_S, _LONGEST_S = 4.2, 12.0
-_MEAN_CLIP_S = 8.0
+_MEAN_CLIP_S = 8.3
 
 
 def _start(rng: np.random.Generator, **changes: float | bool) -> Choreography:
@@ -71,165 +73,21 @@ def _finish(score: Choreography) -> None:
             track.add(0.0, end_s, amount, oscillation(cycles))
 
 
-def _stand(score: Choreography) -> None:
-    rng = score.rng
-    for _ in range(int(rng.integers(1, 4))):
-        kind = rng.integers(4)
-        seconds = rng.uniform(1.2, 2.0)
-        start_s = score.time_s
-        if kind == 0:
-            score.shift_weight(int(rng.integers(2)), rng.uniform(0.2, 0.7), seconds)
-        elif kind == 1:
-            score.arms.move(start_s, start_s + seconds, gestures.hanging_arms(rng))
-        elif kind == 2:
-            twist = [rng.uniform(-0.5, 0.5), rng.uniform(-0.1, 0.1), 0.0]
-            score.waist.bump(start_s, start_s + 2 * seconds, twist)
-            score.hold(seconds)
-        else:
-            score.lean(rng.uniform(-0.05, 0.25), start_s, start_s + seconds)
-        score.hold(seconds)
-    score.lean(0.0, score.time_s, score.time_s + 1.0)
-    score.settle(1.0)
-
-
-def _squat(score: Choreography) -> None:
-    rng = score.rng
-    upright = float(score.height.end[0])
-    for _ in range(int(rng.integers(1, 3))):
-        low = rng.uniform(0.33, 0.6)
-        seconds = rng.uniform(1.1, 2.0)
-        start_s = score.time_s
-        _crouch(score, low, seconds)
-        before = score.arms.end.copy()
-        if rng.uniform() < 0.5:
-            arm = np.array([-rng.uniform(0.6, 1.3), 0.15, 0.0, 1.0, 0.0, 0.0, 0.0])
-            arms = np.concatenate((arm, gestures.mirrored(arm, 1)))
-        else:
-            arms = gestures.hang_leaning(before, 2.0 * score.trunk.end[1])
-        score.arms.move(start_s, start_s + seconds, arms)
-        score.hold(seconds + rng.uniform(0.1, 0.8))
-        score.arms.move(score.time_s, score.time_s + seconds, before)
-        _crouch(score, upright, seconds)
-        score.hold(seconds)
-
-
-def _crouch(score: Choreography, height: float, seconds: float) -> None:
-    """Go to a pelvis height with the trunk bent as far as balance asks."""
-    depth = np.clip((0.74 - height) / 0.44, 0.0, 1.0)
-    score.change_height(height, seconds)
-    score.lean(0.75 * float(depth) ** 0.6, score.time_s, score.time_s + seconds)
-
-
-def _jump(score: Choreography) -> None:
-    rng = score.rng
-    for _ in range(int(rng.integers(1, 3))):
-        _jump_once(score)
-        score.hold(rng.uniform(0.4, 0.8))
-
-
-def _jump_once(score: Choreography) -> None:
-    rng = score.rng
-    before = score.arms.end.copy()
-    back = np.zeros(14)
-    back[[0, 7]] = rng.uniform(0.3, 0.6)
-    start_s = score.time_s
-    score.arms.move(start_s, start_s + 0.6, before + back)
-    score.arms.move(start_s + 0.6, start_s + 1.0, before - 1.5 * back)
-    score.arms.move(start_s + 1.1, start_s + 1.9, before)
-    jump(
-        score,
-        rng.uniform(0.04, 0.07),
-        rng.uniform(0.13, 0.17),
-        rng.choice([0.0, 0.0, 0.1]),
-        rng.uniform(0.03, 0.05),
-        rng.uniform(0.5, 0.7),
-    )
-
-
-def _wave(score: Choreography) -> None:
-    rng = score.rng
-    seconds = rng.uniform(3.0, 6.0)
-    sides = [0, 1] if rng.uniform() < 0.25 else [int(rng.integers(2))]
-    for side in sides:
-        gestures.wave(score, side, score.time_s, seconds)
-    score.hold(seconds)
-
-
-def _punch(score: Choreography) -> None:
-    rng = score.rng
-    relaxed = score.arms.end.copy()
-    gestures.raise_guard(score, 0.8)
-    score.change_height(rng.uniform(0.69, 0.74), 0.8)
-    score.hold(0.9)
-    side = int(rng.integers(2))
-    for _ in range(int(rng.integers(2, 7))):
-        score.hold(gestures.punch(score, side, score.time_s) + rng.uniform(0.1, 0.5))
-        side = 1 - side if rng.uniform() < 0.7 else side
-    score.arms.move(score.time_s, score.time_s + 0.9, relaxed)
-    score.hold(0.9)
-
-
-def _reach(score: Choreography) -> None:
-    rng = score.rng
-    for _ in range(int(rng.integers(1, 4))):
-        sides = [0, 1] if rng.uniform() < 0.4 else [int(rng.integers(2))]
-        seconds = rng.uniform(0.8, 1.5)
-        start_s = score.time_s
-        before = score.arms.end.copy()
-        for side in sides:
-            arm = gestures.reaching_arm(side, gestures.random_reach(rng, side))
-            gestures.move_arm(score, side, arm, start_s, start_s + seconds)
-        score.lean(rng.uniform(0.0, 0.3), start_s, start_s + seconds)
-        score.hold(seconds + rng.uniform(0.2, 0.9))
-        score.arms.move(score.time_s, score.time_s + seconds, before)
-        score.lean(0.0, score.time_s, score.time_s + seconds)
-        score.hold(seconds)
-
-
-def _pickup(score: Choreography) -> None:
-    rng = score.rng
-    upright, before = float(score.height.end[0]), score.arms.end.copy()
-    low, seconds = rng.uniform(0.32, 0.5), rng.uniform(1.3, 2.0)
-    start_s = score.time_s
-    _crouch(score, low, seconds)
-    sides = [0, 1] if rng.uniform() < 0.6 else [int(rng.integers(2))]
-    for side in sides:
-        sign = 1.0 if side == 0 else -1.0
-        point = np.array([rng.uniform(0.2, 0.3), sign * rng.uniform(0.24, 0.32), -0.1])
-        arm = gestures.reaching_arm(side, point)
-        gestures.move_arm(score, side, arm, start_s + 0.2, start_s + seconds)
-    score.hold(seconds + rng.uniform(0.3, 0.8))
-    carry = np.array([-0.2, 0.2, 0.0, rng.uniform(0.0, 0.5), 0.0, 0.0, 0.0])
-    for side in sides:
-        arm = gestures.mirrored(carry, side)
-        gestures.move_arm(score, side, arm, score.time_s, score.time_s + seconds)
-    _crouch(score, upright, seconds)
-    score.hold(seconds + rng.uniform(0.3, 0.8))
-    score.arms.move(score.time_s, score.time_s + 1.0, before)
-    score.hold(1.0)
-
-
-def _transition(score: Choreography) -> None:
-    rng = score.rng
-    if rng.uniform() < 0.5:
-        locomotion.wander(score)
-        return
-    parts = (
-        locomotion.forward, locomotion.turn, locomotion.stepside, _wave, _squat,
-        locomotion.backward, _reach,
-    )  # fmt: skip
-    chosen = rng.choice(len(parts), size=2, replace=False)
-    for index in chosen:
-        parts[index](score)
-        score.hold(rng.uniform(0.2, 0.6))
-
-
 _CHOREOGRAPHIES: dict[str, Callable[[Choreography], None]] = {
-    "stand": _stand, "forward": locomotion.forward, "backward": locomotion.backward,
-    "stepside": locomotion.stepside, "turn": locomotion.turn, "squat": _squat,
-    "crouchwalk": locomotion.crouchwalk, "jump": _jump, "punch": _punch, "wave": _wave,
-    "reach": _reach, "pickup": _pickup, "transition": _transition,
-}  # fmt: skip
+    "stand": actions.stand,
+    "forward": locomotion.forward,
+    "backward": locomotion.backward,
+    "stepside": locomotion.stepside,
+    "turn": locomotion.turn,
+    "squat": actions.squat,
+    "crouchwalk": locomotion.crouchwalk,
+    "jump": actions.jump,
+    "punch": actions.punch,
+    "wave": actions.wave,
+    "reach": actions.reach,
+    "pickup": actions.pickup,
+    "transition": actions.transition,
+}
 
 
 def _solve_clear(plan: Plan) -> np.ndarray:
@@ -245,22 +103,41 @@ def _solve_clear(plan: Plan) -> np.ndarray:
     return solve(replace(plan, upper_joints=np.clip(upper, lower, highest)))
 
 
-def generate(category: str, rng: np.random.Generator, name: str = "") -> Clip:
+def _compose(category: str, rng: np.random.Generator, pace: float) -> Choreography:
+    """Write down one motion; it may be too long, or beyond the robot's reach."""
+    if category == "jump":
+        score = _start(rng, ballistic=True, height=rng.uniform(0.67, 0.68))
+    elif category == "crouchwalk":
+        score = _start(rng, width=rng.uniform(0.185, 0.21))
+    else:
+        score = _start(rng)
+    score.pace = pace
+    _CHOREOGRAPHIES[category](score)
+    _finish(score)
+    return score
+
+
+def generate(
+    category: str, rng: np.random.Generator, name: str = "", *, pace: float = 1.0
+) -> Clip:
     """Make one clip at 50 frames per second.
 
     Args:
         category: one of `clip.CATEGORIES`.
         rng: source of all chance; equal states give equal clips.
         name: the clip's name; by default ``synthetic/<category>``.
+        pace: scales the speeds of walking and turning; 0.5 halves them.
 
     Raises:
-        InputError: there is no such category.
+        InputError: there is no such category, or the pace is not within (0, 1].
     """
     if category not in _CHOREOGRAPHIES:
         raise InputError(
             f"unknown category {category!r}",
             remedy="use one of " + ", ".join(CATEGORIES),
         )
+    if not 0.0 < pace <= 1.0:
+        raise InputError(f"the pace is {pace:g}", remedy="give 0.1 to 1")
     info = ClipInfo(
         name or f"synthetic/{category}",
         category,
@@ -269,14 +146,7 @@ def generate(category: str, rng: np.random.Generator, name: str = "") -> Clip:
         FPS,
     )
     while True:
-        if category == "jump":
-            score = _start(rng, ballistic=True, height=rng.uniform(0.67, 0.68))
-        elif category == "crouchwalk":
-            score = _start(rng, width=rng.uniform(0.185, 0.21))
-        else:
-            score = _start(rng)
-        _CHOREOGRAPHIES[category](score)
-        _finish(score)
+        score = _compose(category, rng, pace)
         if score.time_s > _LONGEST_S:
             continue
         try:
@@ -287,13 +157,73 @@ def generate(category: str, rng: np.random.Generator, name: str = "") -> Clip:
             return clip_from_qpos(info, qpos)
 
 
-def default_set(seed: int, minutes: float = 10.0) -> list[Clip]:
-    """About ``minutes`` of motion of all categories, the same for the same seed."""
+@dataclass(frozen=True)
+class _Order:
+    """One clip of a set: what it is made from, and nothing else."""
+
+    seed: int
+    category: str
+    number: int
+
+
+def _make(order: _Order) -> Clip:
+    index = list(_SHARES).index(order.category)
+    rng = np.random.default_rng([order.seed, index, order.number])
+    name = f"synthetic/{order.category}_{order.number:02d}"
+    return generate(order.category, rng, name)
+
+
+def _make_all(orders: list[_Order], workers: int) -> Iterator[Clip]:
+    """The clips of ``orders`` in their order, whatever the number of processes."""
+    if workers == 1:
+        yield from map(_make, orders)
+        return
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(workers, context) as pool:
+        yield from pool.map(_make, orders, chunksize=2)
+
+
+def _counts(minutes: float) -> dict[str, int]:
+    """How many clips of each category make about ``minutes``."""
     total = sum(_SHARES.values())
-    clips = []
-    for index, category in enumerate(CATEGORIES):
-        share = minutes * 60.0 / _MEAN_CLIP_S * _SHARES[category] / total
-        for number in range(max(1, round(share))):
-            rng = np.random.default_rng([seed, index, number])
-            clips.append(generate(category, rng, f"synthetic/{category}_{number:02d}"))
-    return clips
+    clips = minutes * 60.0 / _MEAN_CLIP_S
+    return {name: max(1, round(clips * _SHARES[name] / total)) for name in CATEGORIES}
+
+
+def default_set(
+    seed: int,
+    minutes: float = 30.0,
+    *,
+    workers: int = 1,
+    progress: Callable[[float], None] | None = None,
+) -> list[Clip]:
+    """At least ``minutes`` of motion of all categories, no clip like another.
+
+    The result depends on ``seed`` and ``minutes`` alone, not on ``workers``: every
+    clip has a random generator of its own.
+
+    Args:
+        seed: equal seeds give equal motions.
+        minutes: least length of all motions together.
+        workers: processes that share the work; with more than one, the calling script
+            must be importable (``if __name__ == "__main__"``).
+        progress: receives the minutes made so far.
+    """
+    counts = _counts(minutes)
+    orders = [
+        _Order(seed, name, number)
+        for name, count in counts.items()
+        for number in range(count)
+    ]
+    clips: list[Clip] = []
+    made_s = 0.0
+    for extra in itertools.count():
+        for clip in _make_all(orders, workers):
+            clips.append(clip)
+            made_s += clip.seconds
+            if progress is not None:
+                progress(made_s / 60.0)
+        if made_s >= 60.0 * minutes:
+            return clips
+        orders = [_Order(seed, name, counts[name] + extra) for name in CATEGORIES]
+    raise AssertionError("unreachable")

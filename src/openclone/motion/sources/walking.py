@@ -44,6 +44,10 @@ class Velocity:
     sideways: float = 0.0
     turn: float = 0.0
 
+    def scaled(self, share: float) -> Velocity:
+        """All three, times ``share``."""
+        return Velocity(share * self.forward, share * self.sideways, share * self.turn)
+
 
 def draw_gait(rng: np.random.Generator, velocity: Velocity) -> Gait:
     """A gait that moves at ``velocity``; cadence and manner are drawn.
