@@ -1,12 +1,12 @@
 """The weights of the rewards: Table A1 as printed, and what is trained here.
 
-Table A1 prints tracking rows as ``exp(-c ‖error‖²)``. OmniH2O, whose rewards the paper
+Table A1 prints tracking rows as ``exp(-c ‖error‖)``. OmniH2O, whose rewards the paper
 builds on, computes ``exp(-mean squared error / σ)``, and CLONE's 0.5, 0.1 and 10 equal
 OmniH2O's σ of the same rows. So `PAPER` reads every printed c as that σ, the ``width``
-here. Read as a factor, c = 10 on velocities would leave 0.05 for an error of half a
-metre per second; read as σ, c = 0.01 on angular velocities leaves nothing at 1 rad/s.
-One of the two is surely a misprint; the row's weight (8 of about 1000) is too small to
-matter. ``docs/differences.md`` has the comparison row by row.
+here. Neither reading makes sense of all rows: as printed, the velocity row (c = 10) has
+nothing left at 0.5 m/s; as σ, the angular velocity row (c = 0.01) has nothing left at
+1 rad/s. The latter weighs 8 of about 1000, the former 80.
+``docs/differences.md`` compares them row by row.
 """
 
 from __future__ import annotations
