@@ -1,0 +1,112 @@
+"""Training in several processes, on one machine or more, started by torchrun.
+
+    torchrun --nproc-per-node 2 -m openclone.cli train teacher
+
+Every process simulates the preset's robots and collects its own data; rsl_rl averages
+the gradients. Process 0 decides when to stop, and it alone prints and writes.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import torch
+from rsl_rl.algorithms import PPO
+from torch import distributed, nn
+
+
+@dataclass(frozen=True)
+class Team:
+    """The processes that train together.
+
+    Attributes:
+        rank: number of this process, 0 for the one that writes.
+        size: number of processes.
+    """
+
+    rank: int = 0
+    size: int = 1
+
+    @property
+    def leads(self) -> bool:
+        """Whether this process prints and writes."""
+        return self.rank == 0
+
+    @property
+    def ppo_settings(self) -> dict[str, int] | None:
+        """What rsl_rl's PPO wants to know of the team; None if there is none."""
+        if self.size == 1:
+            return None
+        return {"global_rank": self.rank, "world_size": self.size}
+
+    def agree(self, decision: bool) -> bool:
+        """The decision of process 0, in all processes."""
+        if self.size == 1:
+            return decision
+        shared = torch.tensor(decision)
+        distributed.broadcast(shared, src=0)
+        return bool(shared)
+
+    def share_networks(self, ppo: PPO) -> None:
+        """Give all processes the networks of process 0."""
+        if self.size > 1:
+            ppo.broadcast_parameters()
+
+    def share(self, module: nn.Module) -> None:
+        """Give all processes the parameters and buffers of process 0."""
+        if self.size > 1:
+            for tensor in module.state_dict().values():
+                distributed.broadcast(tensor, src=0)
+
+    @torch.inference_mode()
+    def average(self, tensors: Iterable[torch.Tensor]) -> None:
+        """Replace each floating-point tensor by its mean over the processes."""
+        if self.size == 1:
+            return
+        for tensor in tensors:
+            if tensor.is_floating_point():
+                distributed.all_reduce(tensor)
+                tensor /= self.size
+
+    def average_gradients(self, module: nn.Module) -> None:
+        """Replace gradients by their mean over the processes."""
+        gradients = (p.grad for p in module.parameters() if p.grad is not None)
+        self.average(gradients)
+
+    def average_buffers(self, *modules: nn.Module) -> None:
+        """Average what modules count themselves: means and spreads of observations.
+
+        rsl_rl averages gradients alone; without this each process would normalize its
+        observations in its own way and so play its own policy.
+        """
+        for module in modules:
+            self.average(module.buffers())
+
+
+def team() -> Team:
+    """The team that this process has joined; alone by default."""
+    if not (distributed.is_available() and distributed.is_initialized()):
+        return Team()
+    return Team(distributed.get_rank(), distributed.get_world_size())
+
+
+@contextmanager
+def joined(device: str = "cpu") -> Iterator[Team]:
+    """Join the processes that torchrun has started; alone without torchrun."""
+    if int(os.environ.get("WORLD_SIZE", "1")) == 1 or distributed.is_initialized():
+        yield team()
+        return
+    distributed.init_process_group("nccl" if device.startswith("cuda") else "gloo")
+    try:
+        yield team()
+    finally:
+        distributed.destroy_process_group()
+
+
+def threads_per_process() -> int:
+    """Cores of this machine for each of its processes, at least one."""
+    processes = int(os.environ.get("LOCAL_WORLD_SIZE", "1"))
+    return max(1, (os.cpu_count() or 1) // processes)
