@@ -185,3 +185,20 @@ def test_blend_begins_and_ends_exactly_and_rises_smoothly() -> None:
     np.testing.assert_allclose(
         to_start, rotations.angle_between(half.target.quat, end.quat), atol=1e-9
     )
+
+
+def test_a_runner_is_followed_at_the_robots_speed_and_caught_up_with(
+    calibration: Calibration,
+) -> None:
+    tracker = OperatorTracker(calibration)
+    last = walk(tracker, 180, 3.0)
+    wanted = calibration.apply(last.positions, last.quats).position
+    held = tracker.command(last.receive_stamp_ns, stale=True).target.position
+    seconds = 179 * PERIOD_NS * 1e-9
+    assert held[0, 0] == pytest.approx(1.2 * seconds, abs=0.1)
+    # Hands stay where they are relative to the head.
+    np.testing.assert_allclose(held - held[0], wanted - wanted[0], atol=0.02)
+    for index in range(180, 600):
+        tracker.update(frame(index, last.positions))
+    caught = tracker.command(10**12 + 600 * PERIOD_NS, stale=True).target.position
+    np.testing.assert_allclose(caught, wanted, atol=0.01)
