@@ -1,41 +1,57 @@
 """Whole training runs, seconds long."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
+from openclone.cli import learning
 from openclone.errors import InputError
 from openclone.policy.bundle import load_bundle
+from openclone.policy.mlp import MlpConfig
+from openclone.training import student as student_module
 from openclone.training.checkpoint import load_checkpoint
+from openclone.training.guard import TrainingStopped
 from openclone.training.presets import STUDENTS, TEACHERS, teacher_preset
 from openclone.training.student import train_student
-from openclone.training.teacher import load_teacher, train_teacher
+from openclone.training.teacher import TeacherEnvironment, load_teacher, train_teacher
+
+TEACHER, STUDENT = TEACHERS["smoke"], STUDENTS["smoke"]
+STEPS = 3 * 4 * 16  # iterations, steps, robots of the smoke presets
 
 
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory, make_clip):
     out = tmp_path_factory.mktemp("run")
-    teacher = train_teacher([make_clip()], TEACHERS["smoke"], out, threads=1)
-    bundle = train_student([make_clip()], teacher, STUDENTS["smoke"], out, threads=1)
+    teacher = train_teacher([make_clip()], TEACHER, out, threads=1)
+    bundle = train_student([make_clip()], teacher, STUDENT, out, threads=1)
     return out, teacher, bundle
+
+
+@pytest.fixture
+def no_export(monkeypatch):
+    """Writing ONNX takes longer than all the rest; one run of the module does it."""
+    monkeypatch.setattr(student_module, "export_bundle", lambda *_: None)
+
+
+def scalars(folder):
+    """All logged values, by name."""
+    found = {}
+    for path in sorted(folder.glob("events.out.tfevents.*")):
+        events = EventAccumulator(str(path))
+        events.Reload()
+        for tag in events.Tags()["scalars"]:
+            found[tag] = [event.value for event in events.Scalars(tag)]
+    return found
 
 
 def test_the_bundle_runs_and_says_what_it_is(trained):
     bundle = load_bundle(trained[2])
     assert bundle.act(np.zeros((2, 2376))).shape == (2, 29)
-    assert "steps" in bundle.info.training
+    assert f"ppo, {2 * STEPS} steps" in bundle.info.training
     assert len(bundle.info.data_hash) == 64
-
-
-def test_resume_goes_on_from_the_checkpoint(trained, make_clip):
-    out, teacher, _ = trained
-    before = load_checkpoint(teacher)
-    train_teacher(
-        [make_clip()], TEACHERS["smoke"], out, resume=True, minutes=0.06, threads=1
-    )
-    after = load_checkpoint(teacher)
-    assert after["steps"] > before["steps"]
-    assert after["minutes"] > before["minutes"]
 
 
 def test_the_teacher_checkpoint_is_an_actor(trained):
@@ -44,9 +60,103 @@ def test_the_teacher_checkpoint_is_an_actor(trained):
     assert sum(p.numel() for p in actor.parameters()) > 1000
 
 
-def test_tensorboard_has_reward_terms(trained):
-    events = list(trained[0].glob("events.out.tfevents.*"))
-    assert events
+def test_tensorboard_has_terms_success_routers_and_amp(trained):
+    values = scalars(trained[0])
+    names = set(values)
+    assert {"reward/vr_position", "reward/slippage", "reward/amp"} <= names
+    assert {"success/stand", "falls/1000", "loss/imitation", "loss/value"} <= names
+    assert {"amp/loss", "amp/accuracy_real"} <= names
+    for layer in (1, 2, 3):
+        usage = [values[f"router/layer{layer}/expert{k}"][-1] for k in (1, 2, 3, 4)]
+        assert sum(usage) == pytest.approx(1.0, abs=1e-4)
+    assert all(0 <= value <= 1 for value in values["success/stand"])
+
+
+# Resuming ----------------------------------------------------------------------------
+
+
+def test_teacher_goes_on_from_its_checkpoint(trained, make_clip, tmp_path):
+    before = load_checkpoint(trained[1])
+    assert (before["iterations"], before["steps"]) == (3, STEPS)
+    copy = tmp_path / "teacher.pt"
+    copy.write_bytes(trained[1].read_bytes())
+    longer = replace(TEACHER, iterations=5)
+    train_teacher([make_clip()], longer, tmp_path, resume=True, threads=1)
+    after = load_checkpoint(copy)
+    assert (after["iterations"], after["steps"]) == (5, STEPS * 5 // 3)
+    assert after["minutes"] > before["minutes"]
+    # The optimizers, of PPO and of AMP, went on as well.
+    for content, count in ((before, 3), (after, 5)):
+        assert content["ppo"]["optimizer_state_dict"]["state"][0]["step"] == count
+        assert content["amp"]["optimizer"]["state"][0]["step"] == count
+
+
+def test_resuming_a_finished_run_changes_nothing(trained, make_clip, tmp_path):
+    copy = tmp_path / "teacher.pt"
+    copy.write_bytes(trained[1].read_bytes())
+    train_teacher([make_clip()], TEACHER, tmp_path, resume=True, threads=1)
+    before, after = load_checkpoint(trained[1]), load_checkpoint(copy)
+    for part in ("actor_state_dict", "critic_state_dict"):
+        for name, value in before["ppo"][part].items():
+            assert torch.equal(value, after["ppo"][part][name])
+
+
+def test_start_takes_the_networks_but_a_fresh_budget(trained, make_clip, tmp_path):
+    path = train_teacher(
+        [make_clip()], TEACHER, tmp_path, start=trained[1], seed=1, threads=1
+    )
+    content = load_checkpoint(path)
+    assert (content["iterations"], content["steps"]) == (3, 2 * STEPS)
+    assert content["ppo"]["optimizer_state_dict"]["state"][0]["step"] == 6
+
+
+def test_student_goes_on_in_either_phase(trained, make_clip, tmp_path, no_export):
+    teacher, clips = trained[1], [make_clip()]
+
+    def go_on(**settings):
+        preset = replace(STUDENT, **settings)
+        resume = (tmp_path / "student.pt").exists()
+        train_student(clips, teacher, preset, tmp_path, resume=resume, threads=1)
+        content = load_checkpoint(tmp_path / "student.pt")
+        return content["phase"], content["iterations"], content["steps"], content
+
+    phase, iterations, steps, content = go_on(iterations=2, tuning_minutes=0.0)
+    assert (phase, iterations, steps, content["rounds"]) == ("dagger", 2, 128, 2)
+    phase, iterations, steps, content = go_on(iterations=3, tuning_minutes=0.0)
+    assert (phase, iterations, steps, content["rounds"]) == ("dagger", 3, 192, 3)
+    # Two gradient steps a round.
+    assert content["optimizer"]["state"][0]["step"] == 6
+    phase, iterations, steps, _ = go_on(iterations=3, tuning_iterations=1)
+    assert (phase, iterations, steps) == ("ppo", 1, 256)
+    phase, iterations, steps, content = go_on(iterations=3, tuning_iterations=3)
+    assert (phase, iterations, steps) == ("ppo", 3, 384)
+    assert content["amp"]["optimizer"]["state"][0]["step"] == 3
+
+
+def test_checkpoints_of_other_networks_are_refused(trained, make_clip, tmp_path):
+    clips = [make_clip()]
+    wider = replace(TEACHER, ppo=replace(TEACHER.ppo, hidden=(64, 32)))
+    with pytest.raises(InputError, match="does not fit the preset's networks") as error:
+        train_teacher(clips, wider, tmp_path, start=trained[1], threads=1)
+    assert "\n" not in str(error.value)
+    with pytest.raises(InputError, match="no 'ppo'"):
+        train_teacher(clips, TEACHER, tmp_path, start=_student_file(tmp_path))
+    other = replace(STUDENT, history=5)
+    with pytest.raises(InputError, match="does not fit the preset's networks"):
+        train_student(
+            clips,
+            trained[1],
+            other,
+            tmp_path,
+            start=trained[0] / "student.pt",
+            threads=1,
+        )
+
+
+def _student_file(folder):
+    path = folder / "student.pt"
+    torch.save({"student": {}, "hidden": [8], "phase": "dagger"}, path)
+    return path
 
 
 def test_foreign_checkpoints_are_refused(tmp_path):
@@ -61,10 +171,140 @@ def test_foreign_checkpoints_are_refused(tmp_path):
         load_teacher(path)
 
 
+# Seeds and faults --------------------------------------------------------------------
+
+
+def test_same_seed_same_losses(trained, make_clip, tmp_path, no_export):
+    clips, runs = [make_clip()], []
+    for name, seed in (("a", 3), ("b", 3), ("c", 4)):
+        out = tmp_path / name
+        teacher = train_teacher(clips, TEACHER, out / "t", seed=seed, threads=1)
+        train_student(clips, teacher, STUDENT, out / "s", seed=seed, threads=1)
+        runs.append({**scalars(out / "t"), **scalars(out / "s")})
+    names = [n for n in runs[0] if n.partition("/")[0] in ("loss", "reward", "amp")]
+    assert len(names) > 15
+    for name in names:
+        assert runs[0][name] == runs[1][name], name
+    assert runs[0]["loss/imitation"] != runs[2]["loss/imitation"]
+
+
+def test_training_stops_at_a_nan_and_leaves_the_evidence(
+    trained, make_clip, tmp_path, monkeypatch
+):
+    healthy = TeacherEnvironment.step
+    count = 0
+
+    def poisoned(self, action):
+        nonlocal count
+        count += 1
+        result = healthy(self, action)
+        if count == 6:  # in the second iteration
+            result.reward[2] = float("nan")
+        return result
+
+    monkeypatch.setattr(TeacherEnvironment, "step", poisoned)
+    with pytest.raises(TrainingStopped, match=r"nan-dump\.npz") as error:
+        train_teacher([make_clip()], TEACHER, tmp_path, threads=1)
+    assert "\n" not in str(error.value)
+    assert "after 128 steps" in str(error.value)
+    with np.load(tmp_path / "nan-dump.npz", allow_pickle=False) as dump:
+        rewards = dump["batch/rewards"]
+        assert list(zip(*np.nonzero(np.isnan(rewards[..., 0])), strict=True)) == [
+            (1, 2)
+        ]
+        assert dump["robots/qpos"].shape == (16, 36)
+        assert dump["batch/observations/teacher"].shape[:2] == (4, 16)
+        assert any(name.startswith("network/actor/") for name in dump)
+    # No checkpoint of a broken network.
+    assert not (tmp_path / "teacher.pt").exists()
+
+
+def test_distillation_stops_at_a_nan(trained, make_clip, tmp_path, no_export):
+    content = load_checkpoint(trained[1])
+    for value in content["ppo"]["actor_state_dict"].values():
+        if value.is_floating_point():
+            value.fill_(float("nan"))
+    broken = tmp_path / "broken.pt"
+    torch.save(content, broken)
+    with pytest.raises(TrainingStopped, match="observation is not finite"):
+        train_student([make_clip()], broken, STUDENT, tmp_path, threads=1)
+    assert (tmp_path / "nan-dump.npz").is_file()
+    assert not (tmp_path / "student.pt").exists()
+
+
+# Presets -----------------------------------------------------------------------------
+
+ABLATIONS = {
+    "mlp": None,
+    "other-data": (3, 4, 25),
+    "history-5": (3, 4, 5),
+    "history-50": (3, 4, 50),
+    "layers-1": (1, 4, 25),
+    "experts-8": (3, 8, 25),
+}
+
+
+@pytest.mark.parametrize("name", ABLATIONS)
+def test_ablations_train(name, trained, make_clip, tmp_path, no_export):
+    preset = STUDENTS[name]
+    if isinstance(preset.network, MlpConfig):
+        network = MlpConfig((16, 8))
+    else:
+        network = replace(preset.network, width=16)
+    small = replace(STUDENT, data=preset.data, history=preset.history, network=network)
+    train_student([make_clip()], trained[1], small, tmp_path, threads=1)
+    state = load_checkpoint(tmp_path / "student.pt")["student"]
+    shape = ABLATIONS[name]
+    if shape is None:
+        assert [v.shape[0] for k, v in state.items() if "mlp" in k and v.ndim == 2] == [
+            16, 8, 29,
+        ]  # fmt: skip
+        return
+    layers, experts, history = shape
+    routers = [v for k, v in state.items() if k.endswith("router.weight")]
+    assert [v.shape[0] for v in routers] == [experts] * layers
+    assert state["mlp.stem.weight"].shape[1] == 51 + 93 * history
+
+
+def test_other_data_is_recordings_as_they_were(make_clip):
+    clips = [make_clip("real/walk"), make_clip("real/walk~mirror")]
+    made = make_clip("synthetic/walk")
+    clips.append(
+        replace(made, info=replace(made.info, source="openclone synthetic generator"))
+    )
+    chosen = STUDENTS["other-data"].select(clips)
+    assert [clip.info.name for clip in chosen] == ["real/walk"]
+    with pytest.raises(InputError, match="recordings alone"):
+        STUDENTS["other-data"].select(clips[1:])
+    assert len(STUDENTS["fast"].select(clips)) == 6
+
+
+def test_one_command_trains_teacher_and_student(
+    make_clip, tmp_path, monkeypatch, no_export, capsys
+):
+    monkeypatch.setattr(learning, "_training_clips", lambda _: [make_clip()])
+    learning.train_student(preset="smoke", out=tmp_path, threads=1)
+    teacher = load_checkpoint(tmp_path / "teacher" / "teacher.pt")
+    assert teacher["iterations"] == 3
+    assert load_checkpoint(tmp_path / "student.pt")["phase"] == "ppo"
+    assert "first the teacher" in capsys.readouterr().out
+    # Interrupted before the student began: go on with it.
+    (tmp_path / "student.pt").unlink()
+    learning.train_student(preset="smoke", out=tmp_path, resume=True, threads=1)
+    assert load_checkpoint(tmp_path / "student.pt")["phase"] == "ppo"
+
+
+def test_quickstart_takes_less_than_forty_minutes_by_its_settings():
+    student = STUDENTS["quickstart"]
+    teacher = TEACHERS[student.teacher]
+    assert teacher.minutes + student.minutes + student.tuning_minutes <= 37
+    assert teacher.data.categories == student.data.categories
+
+
 def test_unknown_names_list_the_known_ones(make_clip):
     with pytest.raises(InputError, match="smoke"):
         teacher_preset("nope")
     with pytest.raises(InputError, match="categories"):
-        train_teacher(
-            [make_clip(category="jump")], TEACHERS["smoke"], "unused", threads=1
-        )
+        train_teacher([make_clip(category="jump")], TEACHER, "unused", threads=1)
+    with pytest.raises(InputError, match="dance"):
+        learning.train_teacher(categories="dance")

@@ -1,14 +1,37 @@
-"""Commands that train: train teacher, train student."""
+"""Commands that train: train teacher, train student, train plan."""
 
 from __future__ import annotations
 
+import os
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from openclone.cli.options import load_clips, positive, synthetic_clips
+from openclone.cli.options import (
+    category_names,
+    load_clips,
+    positive,
+    synthetic_clips,
+    write_figures,
+)
+from openclone.errors import InputError
 
 if TYPE_CHECKING:
     from openclone.motion.clip import Clip
+    from openclone.training.plan import PhasePlan
+    from openclone.training.presets import DataChoice, StudentPreset
+
+_DEFAULT_TEACHER = Path("runs/teacher/teacher.pt")
+
+
+def wait_passively() -> None:
+    """Let torch's threads sleep between tasks; call before torch is imported.
+
+    By default they spin. When another process takes one of two cores, training then
+    falls from 4 500 to 250 steps/s; sleeping threads keep 4 000.
+    """
+    os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+    os.environ.setdefault("GOMP_SPINCOUNT", "0")
 
 
 def _training_clips(motions: tuple[Path, ...]) -> list[Clip]:
@@ -18,39 +41,58 @@ def _training_clips(motions: tuple[Path, ...]) -> list[Clip]:
     return synthetic_clips(0, 10.0)
 
 
+def _narrowed(data: DataChoice, categories: str) -> DataChoice:
+    from openclone.motion.clip import CATEGORIES
+
+    names = category_names(categories)
+    for name in names or ():
+        if name not in CATEGORIES:
+            raise InputError(
+                f"unknown category {name!r}", remedy="use " + ", ".join(CATEGORIES)
+            )
+    return replace(data, categories=names) if names else data
+
+
 def train_teacher(
     *,
     preset: str = "fast",
     motions: tuple[Path, ...] = (),
     out: Path = Path("runs/teacher"),
     minutes: float | None = None,
+    categories: str = "",
     resume: bool = False,
+    start: Path | None = None,
     seed: int = 0,
     threads: int | None = None,
 ) -> None:
     """Train the privileged teacher with PPO.
 
     Args:
-        preset: fast, quickstart or smoke.
+        preset: fast, fast-amp, quickstart, other-data, paper or smoke.
         motions: folders of recordings with a manifest.tsv (split train), or of clip
             files; by default synthetic motions.
         out: folder for the checkpoint and the event files.
         minutes: wall time instead of the preset's, earlier runs included.
+        categories: motion categories instead of the preset's, e.g. forward,turn.
         resume: go on from the checkpoint in the folder.
+        start: begin with the networks of this checkpoint, with a fresh budget.
         seed: of all randomness.
         threads: CPU threads; all cores by default.
     """
+    wait_passively()
     from openclone.training import teacher
     from openclone.training.presets import teacher_preset
 
     positive("--minutes", minutes)
     settings = teacher_preset(preset)
+    settings = replace(settings, data=_narrowed(settings.data, categories))
     path = teacher.train_teacher(
         _training_clips(motions),
         settings,
         out,
         minutes=minutes,
         resume=resume,
+        start=start,
         seed=seed,
         threads=threads,
     )
@@ -60,28 +102,37 @@ def train_teacher(
 def train_student(
     *,
     preset: str = "fast",
-    teacher: Path = Path("runs/teacher/teacher.pt"),
+    teacher: Path | None = None,
     motions: tuple[Path, ...] = (),
     out: Path = Path("runs/student"),
     minutes: float | None = None,
     tuning_minutes: float | None = None,
+    categories: str = "",
     resume: bool = False,
+    start: Path | None = None,
     seed: int = 0,
     threads: int | None = None,
 ) -> None:
     """Train the student from a teacher: DAgger, then PPO; exports its bundle.
 
+    With --preset quickstart and no --teacher, its teacher is trained first.
+
     Args:
-        preset: fast, quickstart or smoke.
-        teacher: checkpoint of `openclone train teacher`.
+        preset: fast, quickstart, paper, smoke, or an ablation of the paper: mlp,
+            other-data, history-5, history-50, layers-1, experts-8.
+        teacher: checkpoint of `openclone train teacher`; runs/teacher/teacher.pt by
+            default.
         motions: as for the teacher.
         out: folder for checkpoint, bundle and event files.
         minutes: wall time of DAgger instead of the preset's.
         tuning_minutes: wall time of PPO instead of the preset's; 0 for none.
+        categories: motion categories instead of the preset's, e.g. forward,turn.
         resume: go on from the checkpoint in the folder.
+        start: begin with the student of this checkpoint, with a fresh budget.
         seed: of all randomness.
         threads: CPU threads; all cores by default.
     """
+    wait_passively()
     import warnings
 
     from openclone.training import student
@@ -91,15 +142,110 @@ def train_student(
     warnings.filterwarnings("ignore", message=".*treespec, LeafSpec")
     positive("--minutes", minutes)
     settings = student_preset(preset)
+    settings = replace(settings, data=_narrowed(settings.data, categories))
+    clips = _training_clips(motions)
+    if teacher is None:
+        own = bool(settings.teacher)
+        teacher = _own_teacher(settings, clips, out, resume, seed, threads)
+        # A run that was interrupted in its teacher has no student yet.
+        resume = resume and (not own or (out / student.CHECKPOINT).is_file())
     path = student.train_student(
-        _training_clips(motions),
+        clips,
         teacher,
         settings,
         out,
         minutes=minutes,
         tuning_minutes=tuning_minutes,
         resume=resume,
+        start=start,
         seed=seed,
         threads=threads,
     )
     print(f"policy bundle: {path}")
+
+
+def _own_teacher(
+    settings: StudentPreset,
+    clips: list[Clip],
+    out: Path,
+    resume: bool,
+    seed: int,
+    threads: int | None,
+) -> Path:
+    """Train the teacher that the student's preset names; otherwise the default one."""
+    if not settings.teacher:
+        return _DEFAULT_TEACHER
+    from openclone.training import teacher
+    from openclone.training.presets import teacher_preset
+
+    choice = teacher_preset(settings.teacher)
+    choice = replace(
+        choice, data=replace(choice.data, categories=settings.data.categories)
+    )
+    folder = out / "teacher"
+    known = (folder / teacher.CHECKPOINT).is_file()
+    print(f"first the teacher ({settings.teacher}), in {folder}")
+    return teacher.train_teacher(
+        clips, choice, folder, resume=resume and known, seed=seed, threads=threads
+    )
+
+
+def train_plan(
+    *,
+    preset: str = "fast",
+    seconds: float = 5.0,
+    motion_minutes: float = 30.0,
+    threads: int | None = None,
+    json: Path | None = None,
+) -> None:
+    """Steps, memory and time of a preset on this machine, from a short measurement.
+
+    Args:
+        preset: of the teacher, the student or both.
+        seconds: length of the measurement of each phase.
+        motion_minutes: length of the training motions, for the memory.
+        threads: CPU threads; all cores by default.
+        json: also write the figures to this file.
+    """
+    wait_passively()
+    from openclone.training import plan
+    from openclone.training.presets import STUDENTS, TEACHERS
+
+    positive("--seconds", seconds)
+    positive("--motion-minutes", motion_minutes)
+    if preset not in TEACHERS and preset not in STUDENTS:
+        names = ", ".join(dict.fromkeys((*TEACHERS, *STUDENTS)))
+        raise InputError(f"unknown preset {preset!r}", remedy=f"use one of {names}")
+    phases: list[PhasePlan] = []
+    if preset in TEACHERS:
+        teacher = TEACHERS[preset]
+        phases.append(plan.plan_teacher(teacher, seconds, motion_minutes, threads))
+    if preset in STUDENTS:
+        student = STUDENTS[preset]
+        phases += plan.plan_student(student, seconds, motion_minutes, threads)
+    available = plan.machine_memory_mb()
+    _print_plan(phases, available)
+    rows = [asdict(phase) for phase in phases]
+    write_figures(json, {"preset": preset, "memory_mb": available, "phases": rows})
+
+
+def _print_plan(phases: list[PhasePlan], available_mb: float) -> None:
+    print(f"{'phase':16} {'robots':>6} {'steps/s':>8} {'steps':>9} {'memory':>9}  time")
+    for phase in phases:
+        print(
+            f"{phase.phase:16} {phase.robots:6d} {phase.steps_per_s:8.0f} "
+            f"{phase.steps / 1e6:7.2f} M {phase.memory_mb:6.0f} MB  "
+            f"{_duration(phase.minutes)}"
+        )
+    print(f"{'all':16} {_duration(sum(phase.minutes for phase in phases)):>46}")
+    most = max(phase.memory_mb for phase in phases)
+    if most > available_mb:
+        print(f"this machine has {available_mb:.0f} MB: too little memory")
+
+
+def _duration(minutes: float) -> str:
+    """Minutes in the unit that suits them."""
+    for name, length in (("years", 525_600), ("days", 1440), ("hours", 60)):
+        if minutes >= 2 * length:
+            return f"{minutes / length:.1f} {name}"
+    return f"{minutes:.1f} minutes"

@@ -207,19 +207,8 @@ class AmpStyle:
             )
             self._optimizer.zero_grad()
             loss.backward()
-            self._average_gradients()
             self._optimizer.step()
         return logs
-
-    def _average_gradients(self) -> None:
-        """Keep the discriminators of all processes alike in distributed training."""
-        if not torch.distributed.is_initialized():
-            return
-        share = 1.0 / torch.distributed.get_world_size()
-        for parameter in self.net.parameters():
-            torch.distributed.all_reduce(parameter.grad)
-            assert parameter.grad is not None
-            parameter.grad.mul_(share)
 
     def state_dict(self) -> dict[str, Any]:
         """Discriminator, its optimizer and scaling; the replay fills again."""

@@ -13,6 +13,7 @@ from rsl_rl.storage import RolloutStorage
 from tensordict import TensorDict
 
 from openclone.robot import g1
+from openclone.training.distributed import team
 from openclone.training.guard import NanGuard, Tensors
 from openclone.training.progress import Progress
 from openclone.training.task import StepResult, TrackingTask
@@ -113,6 +114,7 @@ def build_ppo(
         entropy_coef=config.entropy,
         learning_rate=config.learning_rate,
         desired_kl=config.kl,
+        multi_gpu_cfg=team().ppo_settings,
     )
 
 
@@ -130,7 +132,7 @@ def learn(
     after_update: tuple[AfterUpdate, ...] = (),
     line_seconds: float = 30.0,
 ) -> None:
-    """Collect and update until the budget is spent.
+    """Collect and update until the budget is spent, in all processes of the team.
 
     Args:
         env: the task.
@@ -145,15 +147,18 @@ def learn(
         TrainingStopped: something is not finite; a dump lies beside the checkpoint.
     """
     ppo.train_mode()
+    crew = team()
+    crew.share_networks(ppo)
     networks = {"actor": ppo.actor, "critic": ppo.critic}
     guard = NanGuard(progress.folder, env.task, networks, lambda: _last_batch(ppo))
     observations = env.observe()
-    while not progress.finished:
+    while not crew.agree(progress.finished):
         observations = collect(env, ppo, config, progress, guard, observations)
         losses = {f"loss/{name}": value for name, value in ppo.update().items()}
         for also in after_update:
             losses |= also(observations)
         guard.check(losses, progress.steps)
+        crew.average_buffers(ppo.actor, ppo.critic)
         rate = min(max(ppo.learning_rate, config.slowest), config.fastest)
         ppo.learning_rate = rate
         progress.iterations += 1
@@ -183,7 +188,7 @@ def collect(
         observations = env.observe()
         extras = {"time_outs": result.timed_out}
         ppo.process_env_step(observations, result.reward, result.done, extras)
-        progress.steps += env.num_envs
+        progress.steps += env.num_envs * team().size
         note_step(progress, result)
     ppo.compute_returns(observations)
     return observations

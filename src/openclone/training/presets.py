@@ -59,9 +59,11 @@ class DataChoice:
         return select_clips(kept, self.categories, self.mirror, self.still_seconds)
 
 
-_FAST_TASK = TaskConfig(num_envs=512, failure_share=0.6, push_speed=0.3)
+_FAST_TASK = TaskConfig(
+    num_envs=512, failure_share=0.7, push_speed=0.3, standing_share=0.05
+)
 _FAST_PPO = PpoConfig(
-    steps=24, epochs=4, minibatches=4, kl=0.02, slowest=1e-5, fastest=5e-4, entropy=0.0
+    steps=24, epochs=4, minibatches=4, kl=0.03, slowest=1e-5, fastest=5e-4, entropy=0.0
 )
 
 
@@ -139,6 +141,7 @@ class StudentPreset:
         minutes: wall time of DAgger.
         iterations: rounds of DAgger, if they end it instead.
         tuning_minutes: wall time of PPO afterwards; 0 for none.
+        tuning_iterations: PPO iterations, if they end it instead.
         teacher: name of the teacher preset to train first when no teacher is given;
             empty: a teacher must be given.
         data: see there.
@@ -154,6 +157,7 @@ class StudentPreset:
     minutes: float = 20.0
     iterations: int | None = None
     tuning_minutes: float = 25.0
+    tuning_iterations: int | None = None
     teacher: str = ""
     data: DataChoice = field(default_factory=lambda: DataChoice(still_seconds=4.0))
     history: int = 25
@@ -213,7 +217,8 @@ TEACHERS = {
         ppo=PpoConfig(minibatches=4, entropy=0.0),
     ),
     "smoke": TeacherPreset(
-        minutes=0.02,
+        minutes=math.inf,
+        iterations=3,
         task=replace(_SMOKE_TASK, weights=replace(FAST, amp=0.5)),
         ppo=_SMOKE_PPO,
         amp=_SMOKE_AMP,
@@ -255,8 +260,10 @@ STUDENTS = {
         data=DataChoice(categories=_WALKING, mirror=False, still_seconds=4.0),
     ),
     "smoke": StudentPreset(
-        minutes=0.02,
-        tuning_minutes=0.02,
+        minutes=math.inf,
+        iterations=3,
+        tuning_minutes=math.inf,
+        tuning_iterations=3,
         teacher="smoke",
         network=MoeConfig(width=16),
         task=_SMOKE_TASK,

@@ -10,6 +10,8 @@ from pathlib import Path
 
 from torch.utils.tensorboard import SummaryWriter
 
+from openclone.training.distributed import team
+
 
 @dataclass(frozen=True)
 class Budget:
@@ -44,7 +46,8 @@ class Progress:
         self, folder: Path, budget: Budget, trained: Trained | None = None
     ) -> None:
         trained = trained or Trained()
-        self._writer = SummaryWriter(str(folder))
+        # Of several processes that train together, one reports.
+        self._writer = SummaryWriter(str(folder)) if team().leads else None
         self._budget = budget
         self.folder = folder
         self._start = self._last_line = time.monotonic()
@@ -94,12 +97,10 @@ class Progress:
             return False
         rate = (self.steps - self._line_steps) / (now - self._last_line)
         self._last_line, self._line_steps = now, self.steps
-        means = {name: sum(v) / len(v) for name, v in self._values.items() if v}
-        for name, value in means.items():
-            self._writer.add_scalar(name, value, self.steps)
-        self._writer.add_scalar("rate/steps_per_s", rate, self.steps)
-        self._writer.flush()
-        self._values.clear()
+        self.add(**{"rate/steps_per_s": rate})
+        means = self._log()
+        if self._writer is None:
+            return False
         text = "  ".join(f"{name} {means[name]:.3g}" for name in shown if name in means)
         print(
             f"{self.minutes:6.1f} min  {self.steps / 1e6:7.2f} M steps  "
@@ -107,6 +108,16 @@ class Progress:
             flush=True,
         )
         return True
+
+    def _log(self) -> dict[str, float]:
+        """Write the means of what was noted since the last time; returns them."""
+        means = {name: sum(v) / len(v) for name, v in self._values.items() if v}
+        self._values.clear()
+        if self._writer is not None:
+            for name, value in means.items():
+                self._writer.add_scalar(name, value, self.steps)
+            self._writer.flush()
+        return means
 
     def _minutes_left(self) -> float:
         share = self.share
@@ -117,5 +128,7 @@ class Progress:
         return spent / max(done, 1e-9) * (1.0 - share)
 
     def close(self) -> None:
-        """Flush the event file."""
-        self._writer.close()
+        """Log what is left and close the event file."""
+        self._log()
+        if self._writer is not None:
+            self._writer.close()

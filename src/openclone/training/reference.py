@@ -54,11 +54,19 @@ class ReferenceMotions:
         """F."""
         return len(self.qpos)
 
+    def summary(self) -> str:
+        """How much motion there is, in words."""
+        minutes = self.num_frames / _FPS / 60
+        return f"{len(self.names)} clips, {minutes:.1f} minutes"
+
     def at(self, index: torch.Tensor) -> RobotState:
         """Reference states of the frames ``index (n,)``."""
         frames = self.frames
         return RobotState(
-            **{name: getattr(frames, name)[index] for name in _STATE_FIELDS}
+            **{
+                name: getattr(frames, name).index_select(0, index)
+                for name in _STATE_FIELDS
+            }
         )
 
 

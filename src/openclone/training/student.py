@@ -84,8 +84,6 @@ class StudentTrainer:
             preset.network, preset.ppo.initial_std, preset.history
         )
         self.trained, self.phase = Trained(), "dagger"
-        seconds = self.reference.num_frames / 50
-        print(f"{len(chosen)} clips, {seconds / 60:.1f} minutes")
 
     def view(self, config: TaskConfig) -> StudentView:
         """A fresh task seen through the student's sensors."""
@@ -150,6 +148,7 @@ def train_student(
     """
     out = Path(out)
     trainer = StudentTrainer(clips, preset, out, seed, threads)
+    print(trainer.reference.summary())
     content: dict[str, Any] = {}
     if resume:
         content = trainer.resume(out / CHECKPOINT)
@@ -222,7 +221,8 @@ def _tuning_phase(
         ppo.load(content["ppo"], None, strict=True)
         if style is not None and content.get("amp"):
             style.load_state_dict(content["amp"])
-    progress = Progress(trainer.out, Budget(minutes), trainer.trained)
+    budget = Budget(minutes, preset.tuning_iterations)
+    progress = Progress(trainer.out, budget, trainer.trained)
 
     def save() -> None:
         amp = style.state_dict() if style is not None else {}

@@ -21,11 +21,13 @@ from openclone.training.checkpoint import (
     trained_so_far,
 )
 from openclone.training.data import load_reference, make_task
+from openclone.training.distributed import joined, team
 from openclone.training.ppo import PpoConfig, build_ppo, learn, mlp_model
 from openclone.training.presets import TeacherPreset
 from openclone.training.progress import Budget, Progress, Trained
 from openclone.training.task import StepResult, TrackingTask
 
+_SEEDS_APART = 1009
 GROUP = "teacher"
 CHECKPOINT = "teacher.pt"
 
@@ -68,6 +70,9 @@ class TeacherTrainer:
         threads: int | None,
     ) -> None:
         """Build task and untrained networks."""
+        # Processes that train together begin with the networks of process 0, but
+        # must not all collect the same data.
+        seed += team().rank * _SEEDS_APART
         torch.manual_seed(seed)
         chosen = preset.select(clips)
         self.preset = preset
@@ -78,8 +83,6 @@ class TeacherTrainer:
         if preset.amp is not None:
             self.style = AmpStyle(self.task.reference, preset.amp, seed)
             self.task.style = self.style
-        minutes = self.task.reference.num_frames / 50 / 60
-        print(f"{len(chosen)} clips, {minutes:.1f} minutes")
 
     def resume(self, path: Path) -> Trained:
         """Go on from the checkpoint ``path``."""
@@ -94,7 +97,9 @@ class TeacherTrainer:
             return trained_so_far(content)
 
     def save(self, path: Path, progress: Progress) -> None:
-        """Write everything needed to go on."""
+        """Write everything needed to go on; one process of the team does."""
+        if not team().leads:
+            return
         trained = progress.trained
         content = {
             "ppo": self.ppo.save(),
@@ -110,8 +115,9 @@ class TeacherTrainer:
 
     def learn(self, progress: Progress, path: Path) -> None:
         """PPO until the budget is spent, with AMP if the preset wants it."""
-        style = self.style
-        watchers = (lambda _: style.update(),) if style is not None else ()
+        if self.style is not None:
+            team().share(self.style.net)
+        watchers = (lambda _: self._learn_style(),) if self.style is not None else ()
         learn(
             TeacherEnvironment(self.task),
             self.ppo,
@@ -120,6 +126,13 @@ class TeacherTrainer:
             lambda: self.save(path, progress),
             watchers,
         )
+
+    def _learn_style(self) -> dict[str, float]:
+        if self.style is None:
+            return {}
+        values = self.style.update()
+        team().average(parameter.data for parameter in self.style.net.parameters())
+        return values
 
 
 def train_teacher(
@@ -135,6 +148,8 @@ def train_teacher(
 ) -> Path:
     """Train a teacher and return its checkpoint.
 
+    Started by torchrun, all its processes train one teacher together.
+
     Args:
         clips: the data set; the preset chooses categories and mirrors.
         preset: every setting.
@@ -146,19 +161,22 @@ def train_teacher(
         threads: CPU threads; all cores by default.
     """
     path = Path(out) / CHECKPOINT
-    trainer = TeacherTrainer(clips, preset, seed, threads)
-    trained = Trained()
-    if resume:
-        trained = trainer.resume(path)
-    elif start is not None:
-        trained = Trained(steps=trainer.resume(start).steps)
     budget = Budget(preset.minutes if minutes is None else minutes, preset.iterations)
-    progress = Progress(out, budget, trained)
-    try:
-        trainer.learn(progress, path)
-        trainer.save(path, progress)
-    finally:
-        progress.close()
+    with joined() as crew:
+        trainer = TeacherTrainer(clips, preset, seed, threads)
+        trained = Trained()
+        if resume:
+            trained = trainer.resume(path)
+        elif start is not None:
+            trained = Trained(steps=trainer.resume(start).steps)
+        if crew.leads:
+            print(trainer.task.reference.summary())
+        progress = Progress(out, budget, trained)
+        try:
+            trainer.learn(progress, path)
+            trainer.save(path, progress)
+        finally:
+            progress.close()
     return path
 
 
