@@ -23,7 +23,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -37,6 +37,7 @@ import numpy as np  # noqa: E402
 from openclone.odometry.protocol import OdometryHealth, SensorOdometry  # noqa: E402
 from openclone.odometry.recording import SensorRecorder, read_samples  # noqa: E402
 from openclone.odometry.replay import Replay, replay  # noqa: E402
+from openclone.odometry.samples import SensorSample  # noqa: E402
 from openclone.odometry.trajectory import Trajectory, compare  # noqa: E402
 from openclone.spatial import rotations  # noqa: E402
 from room_stream import LIDAR_IN_IMU, RoomStreamConfig, room_stream  # noqa: E402
@@ -150,8 +151,8 @@ def resident_mb() -> float:
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
-def run_one(system: str, stream: Path) -> Outcome:
-    """Run ``system`` over the recording, in this process."""
+def run_one(system: str, samples: Iterable[SensorSample]) -> Outcome:
+    """Run ``system`` over the stream, in this process."""
     engine, result = SYSTEMS[system](), Replay()
     memory: list[float] = []
 
@@ -159,7 +160,7 @@ def run_one(system: str, stream: Path) -> Outcome:
         if replayed.scans % 10 == 0:
             memory.append(resident_mb())
 
-    replay(read_samples(stream, say=lambda text: None), engine, result, progress)
+    replay(samples, engine, result, progress)
     error = compare(_without_start(result.trajectory), result.reference)
     scan_ms = 1e3 * np.array(result.scan_cpu_s)
     return Outcome(
@@ -176,11 +177,11 @@ def run_one(system: str, stream: Path) -> Outcome:
     )
 
 
-def run_apart(system: str, stream: Path, folder: Path) -> Outcome:
+def run_apart(system: str, source: list[str], folder: Path) -> Outcome:
     """Run ``system`` in a process of its own, so that memory is its own."""
     answer = folder / "outcome.json"
     command = [sys.executable, __file__, "--one", system]
-    command += ["--stream", str(stream), "--json", str(answer)]
+    command += [*source, "--json", str(answer)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
         raise SystemExit(f"{system} failed:\n{done.stderr[-2000:]}")
@@ -192,6 +193,13 @@ def record_stream(path: Path, seconds: float, seed: int) -> None:
     with SensorRecorder(path) as recorder:
         for sample in room_stream(RoomStreamConfig(seconds=seconds, seed=seed)):
             recorder.write(sample)
+
+
+def stream_of(arguments: argparse.Namespace) -> Iterable[SensorSample]:
+    """The recording that was named, or the analytic room."""
+    if arguments.stream:
+        return read_samples(arguments.stream, say=lambda text: None)
+    return room_stream(RoomStreamConfig(arguments.seconds, seed=arguments.seed))
 
 
 def machine() -> str:
@@ -237,13 +245,13 @@ def summarize(outcomes: dict[str, Outcome]) -> dict[str, object]:
     return summary
 
 
-def measure(stream: Path, folder: Path, wanted: list[str]) -> dict[str, Outcome]:
+def measure(source: list[str], folder: Path, wanted: list[str]) -> dict[str, Outcome]:
     """Run the systems one after the other, and print a row for each."""
     print(f"{'':18}{'ATE cm':>8}{'max cm':>8}{'yaw °':>7}{'tracked':>12}", end="")
     print(f"{'mean ms':>9}{'p99 ms':>8}{'IMU µs':>8}{'MB 10 s':>9}{'MB end':>8}")
     outcomes = {}
     for name in wanted:
-        o = outcomes[name] = run_apart(name, stream, folder)
+        o = outcomes[name] = run_apart(name, source, folder)
         print(
             f"{name:18}{o.ate_cm:8.2f}{o.max_cm:8.2f}{o.heading_deg:7.2f}"
             f"{f'{o.tracked}/{o.scans}':>12}{o.mean_ms:9.1f}{o.p99_ms:8.1f}"
@@ -259,24 +267,30 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--stream", type=Path, help="a recording with ground truth")
+    parser.add_argument(
+        "--unrecorded", action="store_true", help="no file: for runs of many minutes"
+    )
     parser.add_argument("--only", choices=SYSTEMS, help="run one system")
     parser.add_argument("--one", choices=SYSTEMS, help=argparse.SUPPRESS)
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
     if arguments.one:
-        outcome = run_one(arguments.one, arguments.stream)
+        outcome = run_one(arguments.one, stream_of(arguments))
         arguments.json.write_text(json.dumps(asdict(outcome)))
         return
     begin = time.time()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         stream = arguments.stream or folder / "room.mcap"
-        if arguments.stream is None:
+        source = ["--stream", str(stream)]
+        if arguments.unrecorded:
+            source = [f"--seconds={arguments.seconds}", f"--seed={arguments.seed}"]
+        elif arguments.stream is None:
             record_stream(stream, arguments.seconds, arguments.seed)
-        print(f"{machine()}\n{versions()}\none thread, {stream.name}, load ", end="")
-        print(f"{os.getloadavg()[0]:.1f} (processor times)")
+        print(f"{machine()}\n{versions()}\none thread, load ", end="")
+        print(f"{os.getloadavg()[0]:.1f} (times are processor times)")
         wanted = [arguments.only] if arguments.only else list(SYSTEMS)
-        outcomes = measure(stream, folder, wanted)
+        outcomes = measure(source, folder, wanted)
     result: dict[str, object] = {"machine": machine(), "versions": versions()}
     result |= {name: asdict(outcome) for name, outcome in outcomes.items()}
     if "openclone" in outcomes:

@@ -136,15 +136,18 @@ def ray_directions(first: int, count: int) -> np.ndarray:
 
 def ray_lengths(origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
     """Metres (N,) to the first surface, for origins and directions (N, 3), world."""
-    inverse = 1.0 / np.where(np.abs(directions) < 1e-12, 1e-12, directions)
-    walls = np.maximum((ROOM[0] - origins) * inverse, (ROOM[1] - origins) * inverse)
-    lengths = walls.min(axis=1)
-    for low, high in FURNITURE:
-        first, second = (low - origins) * inverse, (high - origins) * inverse
-        enter = np.minimum(first, second).max(axis=1)
-        leave = np.maximum(first, second).min(axis=1)
-        hit = (enter <= leave) & (enter > 0)
-        lengths = np.where(hit & (enter < lengths), enter, lengths)
+    # One row per axis: NumPy is four times faster over long rows than short ones.
+    start, way = np.ascontiguousarray(origins.T), np.ascontiguousarray(directions.T)
+    inverse = 1.0 / np.where(np.abs(way) < 1e-12, 1e-12, way)
+    corners = ROOM[:, :, None]
+    walls = np.maximum((corners[0] - start) * inverse, (corners[1] - start) * inverse)
+    lengths = walls.min(axis=0)
+    for low, high in FURNITURE[..., None]:
+        first, second = (low - start) * inverse, (high - start) * inverse
+        enter = np.minimum(first, second).max(axis=0)
+        leave = np.maximum(first, second).min(axis=0)
+        hit = (enter <= leave) & (enter > 0) & (enter < lengths)
+        lengths = np.where(hit, enter, lengths)
     return lengths
 
 
@@ -179,7 +182,12 @@ def _scan(
     begin_s: float, first: int, config: RoomStreamConfig, rng: np.random.Generator
 ) -> LidarScan:
     offsets = np.arange(config.points) / (config.points * config.scan_hz)
-    positions, quats = imu_pose(begin_s + offsets)
+    # Between knots 0.5 ms apart straight lines are off by some micrometres.
+    knots = np.arange(0.0, 1.0 / config.scan_hz + _STEP_S, _STEP_S)
+    at_knots = np.concatenate(imu_pose(begin_s + knots), axis=1)
+    values = [np.interp(offsets, knots, column) for column in at_knots.T]
+    positions = np.stack(values[:3], axis=1)
+    quats = rotations.normalize(np.stack(values[3:], axis=1))
     origins = positions + rotations.rotate(quats, LIDAR_IN_IMU)
     rays = ray_directions(first, config.points)
     lengths = ray_lengths(origins, np.asarray(rotations.rotate(quats, rays)))

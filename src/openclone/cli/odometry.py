@@ -1,4 +1,4 @@
-"""Commands on LiDAR odometry alone: odometry run."""
+"""Commands on LiDAR odometry alone: odometry run, odometry simulate."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from itertools import chain, islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from openclone.cli.options import print_figures, write_figures
+from openclone.cli.options import positive, print_figures, write_figures
 from openclone.errors import InputError
 
 if TYPE_CHECKING:
@@ -118,4 +118,48 @@ def _write_results(
     if result.refused:
         print(f"first refusal: {result.first_refusal}")
     print(f"trajectory: {out / 'trajectory.tum'}, plot: {out / 'trajectory.png'}")
+    write_figures(json, figures)
+
+
+def odometry_simulate(
+    *,
+    out: Path,
+    world: str = "room",
+    seconds: float = 60.0,
+    policy: Path | None = None,
+    seed: int = 0,
+    json: Path | None = None,
+) -> None:
+    """Record the LiDAR and IMU of the simulated robot walking, with the truth.
+
+    Args:
+        out: the MCAP file to write; `odometry run` and Foxglove open it.
+        world: flat, room, corridor, hall, glass or people.
+        seconds: simulated time of the walk; 2 MB of file per second.
+        policy: policy bundle; the packaged student by default.
+        seed: of the sensors' errors.
+        json: write the figures to this file.
+    """
+    from dataclasses import asdict
+
+    from openclone.evaluation.sensor_recording import record_walk
+    from openclone.policy.bundle import load_bundle
+
+    positive("--seconds", seconds)
+
+    def progress(scans: int) -> None:
+        if scans % 100 == 0:
+            print(f"{scans} scans", flush=True)
+
+    walk = record_walk(
+        out,
+        load_bundle(policy),
+        world=world,
+        seconds=seconds,
+        seed=seed,
+        progress=progress,
+    )
+    figures = asdict(walk)
+    print_figures(figures)
+    print(f"recording: {out}, {out.stat().st_size / 1e6:.0f} MB")
     write_figures(json, figures)

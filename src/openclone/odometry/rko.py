@@ -6,6 +6,7 @@ between scans this adapter continues the motion at constant velocity.
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -92,6 +93,8 @@ class RkoLio:
         self._imu_from_lidar = np.eye(4)
         self._imu_from_lidar[:3, 3] = self._config.lidar_in_imu
         self._motion = ConstantVelocity(self._config.stale_ns)
+        # rko_lio takes all readings since its last scan for those of the next one.
+        self._waiting: deque[tuple[int, np.ndarray, np.ndarray]] = deque(maxlen=4096)
         self._imu_ns: int | None = None
         self._scan_ns: int | None = None
         self._registered = False
@@ -116,7 +119,7 @@ class RkoLio:
                 f"IMU stamp {stamp_ns} ns does not follow {self._imu_ns} ns"
             )
         self._imu_ns = stamp_ns
-        self._lio.add_imu_measurement(accel, gyro, stamp_ns)
+        self._waiting.append((stamp_ns, gyro, accel))
 
     def add_scan(self, points: np.ndarray, stamps_ns: np.ndarray) -> RkoLioState:
         """Register one frame, (N, 3) metres, LiDAR frame, with (N,) stamps.
@@ -133,6 +136,9 @@ class RkoLio:
         if self._scan_ns is not None and end_ns <= self._scan_ns:
             raise InputError(f"scan stamp {end_ns} ns does not follow {self._scan_ns}")
         self._scan_ns = end_ns
+        while self._waiting and self._waiting[0][0] <= end_ns:
+            reading_ns, gyro, accel = self._waiting.popleft()
+            self._lio.add_imu_measurement(accel, gyro, reading_ns)
         self._registered = self._register(points, stamps_ns, start_ns, end_ns)
         if self._registered and not self._initialized:
             # The first scan only starts its initialization: its pose is the identity.
