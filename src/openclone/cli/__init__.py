@@ -13,7 +13,7 @@ from collections.abc import Callable
 
 from openclone.cli.curation import motions_build, motions_inspect
 from openclone.cli.facts import policy_info, robot_joints, version
-from openclone.cli.learning import train_student, train_teacher
+from openclone.cli.learning import train_plan, train_student, train_teacher
 from openclone.cli.measuring import (
     evaluate_odometry,
     evaluate_standing,
@@ -25,7 +25,7 @@ from openclone.cli.motions import (
     motions_retarget,
     motions_synthesize,
 )
-from openclone.cli.odometry import odometry_run
+from openclone.cli.odometry import odometry_run, odometry_simulate
 from openclone.cli.running import demo, teleop, view
 from openclone.errors import InputError, OpenCloneError
 
@@ -38,6 +38,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "evaluate odometry": evaluate_odometry,
     "train teacher": train_teacher,
     "train student": train_student,
+    "train plan": train_plan,
     "motions synthesize": motions_synthesize,
     "motions retarget": motions_retarget,
     "motions build": motions_build,
@@ -45,6 +46,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "motions export": motions_export,
     "motions import": motions_import,
     "odometry run": odometry_run,
+    "odometry simulate": odometry_simulate,
     "policy info": policy_info,
     "robot joints": robot_joints,
     "version": version,
