@@ -30,6 +30,8 @@ _TOUCH = 0.005
 _OFF_GROUND = 0.02
 """Metres above the ground above which nothing supports the robot."""
 _GRAVITY = 9.81
+_LOST = 0.15
+"""Metres from its target beyond which a hand or foot does something else."""
 _NEAR_LIMIT = 0.01
 """Radians from a joint's limit that count as being at it."""
 
@@ -42,6 +44,8 @@ class ClipQuality:
         seconds: duration of the clip.
         ankle_mm, wrist_mm: mean distance of ankles and wrists from their targets,
             which are the human's, scaled; None for a clip that was not retargeted.
+        lost_share: share of frames with an ankle or a wrist more than 150 mm away from
+            its target; None likewise.
         slide_cm_s: mean horizontal speed of sole corners that touch the ground.
         ground_share: share of frames with a link more than 10 mm below the ground.
         self_share: share of frames with links more than 5 mm inside each other.
@@ -60,6 +64,7 @@ class ClipQuality:
     seconds: float
     ankle_mm: float | None
     wrist_mm: float | None
+    lost_share: float | None
     slide_cm_s: float
     ground_share: float
     self_share: float
@@ -117,16 +122,17 @@ class Gate:
     nor does it turn faster: both are the mark of a recording that flips.
     """
 
-    ankle_mm: float = 15.0
+    ankle_mm: float = 25.0
     wrist_mm: float = 100.0
-    slide_cm_s: float = 10.0
+    lost_share: float = 0.05
+    slide_cm_s: float = 15.0
     ground_share: float = 0.01
     self_share: float = 0.01
     speed_ratio: float = 1.0
-    spike_share: float = 0.02
+    spike_share: float = 0.05
     float_s: float = 0.3
     air_s: float = 1.0
-    tilt_deg: float = 95.0
+    tilt_deg: float = 105.0
     turn_rad_s: float = 14.0
     min_seconds: float = 0.5
 
@@ -134,6 +140,7 @@ class Gate:
 _REASONS = {
     "ankle_mm": "the feet are off their targets by {:.0f} mm",
     "wrist_mm": "the wrists are off their targets by {:.0f} mm",
+    "lost_share": "a hand or foot is far from its target in {:.1%} of the frames",
     "slide_cm_s": "the standing feet slide at {:.1f} cm/s",
     "ground_share": "parts are under the ground in {:.1%} of the frames",
     "self_share": "links are inside each other in {:.1%} of the frames",
@@ -244,6 +251,7 @@ class QualityMeter:
             seconds=(len(qpos) - 1) / fps,
             ankle_mm=_residual_mm(body.feet, targets, _FEET),
             wrist_mm=_residual_mm(body.wrists, targets, _WRISTS),
+            lost_share=_lost_share(body, targets),
             slide_cm_s=_slide_cm_s(body.corners, fps),
             ground_share=float(body.buried.mean()),
             self_share=float(body.inside.mean()),
@@ -260,14 +268,30 @@ class QualityMeter:
         )
 
 
+def _distances(
+    found: np.ndarray, targets: Targets, links: tuple[str, ...]
+) -> np.ndarray:
+    """Distances (T, 2) in metres of ``found (T, 2, 3)`` from the targets of links."""
+    wanted = np.stack([targets.position[link] for link in links], axis=1)
+    return np.linalg.norm(found - wanted, axis=-1)
+
+
 def _residual_mm(
     found: np.ndarray, targets: Targets | None, links: tuple[str, ...]
 ) -> float | None:
     """Mean distance of ``found (T, 2, 3)`` from the targets of ``links``."""
     if targets is None:
         return None
-    wanted = np.stack([targets.position[link] for link in links], axis=1)
-    return 1e3 * float(np.linalg.norm(found - wanted, axis=-1).mean())
+    return 1e3 * float(_distances(found, targets, links).mean())
+
+
+def _lost_share(body: _Body, targets: Targets | None) -> float | None:
+    """Share of frames in which an ankle or wrist is far from its target."""
+    if targets is None:
+        return None
+    feet = _distances(body.feet, targets, _FEET).max(axis=1)
+    hands = _distances(body.wrists, targets, _WRISTS).max(axis=1)
+    return float((np.maximum(feet, hands) > _LOST).mean())
 
 
 def _slide_cm_s(corners: np.ndarray, fps: float) -> float:
@@ -280,7 +304,7 @@ def _slide_cm_s(corners: np.ndarray, fps: float) -> float:
     return 100.0 * float(speed[stands].mean())
 
 
-_SPIKE = 700.0
+_SPIKE = 400.0
 """rad/s²; joints that speed up and slow down by more within 60 ms only twitch."""
 
 

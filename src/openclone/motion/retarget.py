@@ -17,11 +17,15 @@ from openclone.robot import g1
 from openclone.robot.model import SOLE_CORNERS, build_model
 from openclone.spatial import rotations
 
-VERSION = 8
+VERSION = 9
 """Raise when the output changes: cached clips of older versions are made again."""
 
 _ARM = ("elbow_yaw", "wrist", "hand")
 _ARM_JOINTS = slice(15, g1.NUM_JOINTS)
+_TWISTED = ("pitch", "roll")
+_CAUGHT_M = 0.1
+"""Metres from its target beyond which a hand at the end of its range is caught."""
+_FREEING_FRAMES = 15
 _FEET = tuple(f"{side}_ankle_roll_link" for side in SIDES)
 _TRUNK = ("torso", "head", "pelvis")
 _LEG = ("hip", "thigh", "shin")
@@ -33,7 +37,7 @@ class CannotFollowError(InputError):
 
 _Weight = float | tuple[float, float, float]
 _COSTS: dict[str, tuple[_Weight, _Weight]] = {
-    "pelvis": (40.0, 1.5),
+    "pelvis": (40.0, 6.0),
     "torso_link": (0.0, 5.0),
     # The ankles roll by 15 degrees at most: a straddling leg tilts its foot instead of
     # leaving its place.
@@ -61,6 +65,8 @@ def collision_pairs() -> list[tuple[list[str], list[str]]]:
         (left + right + upper, trunk + legs),
         (["torso_collision"], legs),
         (named("left", ("thigh", "shin", "linkage_brace")), named("right", inner[1:])),
+        # Knees and hands of those who kneel and reach down.
+        (["floor"], [*left, *right, *named("left", _LEG), *named("right", _LEG)]),
     ]
 
 
@@ -99,17 +105,18 @@ class Solver:
 
     def __init__(self, config: RetargetConfig | None = None) -> None:
         self.config = config or RetargetConfig()
-        self.model = build_model(floor=False, self_collision=True)
+        self.model = build_model(floor=True, self_collision=True)
         self.meter = QualityMeter()
         self._configuration = mink.Configuration(self.model)
         self._tasks = {
             link: mink.FrameTask(link, "body", *costs, lm_damping=0.01)
             for link, costs in _COSTS.items()
         }
-        self._posture = mink.PostureTask(self.model, cost=0.02)
+        self._posture = mink.PostureTask(self.model, cost=_posture_cost(()))
+        self._caught = np.zeros(2, dtype=int)
         damping = np.full(self.model.nv, 0.05)
         # The hanging, stretched arm is singular: nothing holds its turn about itself.
-        damping[6 + _ARM_JOINTS.start :] = 0.3
+        damping[6 + _ARM_JOINTS.start :] = 1.0
         self._damping = mink.DampingTask(self.model, cost=damping)
         lower, upper = _joint_ranges(self.config)
         self._limit = _FrameLimit(lower, upper, self.config.max_joint_speed / FPS)
@@ -153,12 +160,41 @@ class Solver:
             quat = rotations.IDENTITY if turn is None else turn[frame]
             task.set_target(mink.SE3(np.concatenate((quat, place))))
 
+    def _free_arms(self, targets: Targets, frame: int) -> None:
+        """Draw an arm to the front that is caught at the end of its shoulder's range.
+
+        The same posture of the upper arm has two sets of shoulder angles. Past the
+        overhead pose an arm may go on in the wrong one, whose range ends soon.
+        """
+        joints = self._configuration.q[7:]
+        before = self._caught > 0
+        for index, side in enumerate(SIDES):
+            link = f"{side}_wrist_yaw_link"
+            place = self._configuration.data.body(link).xpos
+            off = np.linalg.norm(place - targets.position[link][frame])
+            shoulder = [g1.joint_index(f"{side}_shoulder_{k}_joint") for k in _TWISTED]
+            at_end = (joints[shoulder] < g1.JOINT_LOWER[shoulder] + 0.02) | (
+                joints[shoulder] > g1.JOINT_UPPER[shoulder] - 0.02
+            )
+            if off > _CAUGHT_M and at_end.any():
+                self._caught[index] = _FREEING_FRAMES
+            else:
+                self._caught[index] = max(self._caught[index] - 1, 0)
+        caught = self._caught > 0
+        if (caught != before).any():
+            sides = tuple(
+                side for side, is_so in zip(SIDES, caught, strict=True) if is_so
+            )
+            self._posture.set_cost(_posture_cost(sides))
+
     def track(self, targets: Targets) -> np.ndarray:
         """Joint and root positions ``(T, 36)`` that follow ``targets``."""
         pelvis = targets.position["pelvis"][0], targets.quat["pelvis"][0]
         start = np.concatenate((*pelvis, g1.DEFAULT_POSE))
         self._configuration.update(start)
         self._posture.set_target(start)
+        self._posture.set_cost(_posture_cost(()))
+        self._caught[:] = 0
         qpos = np.empty((len(targets.contact), self.model.nq))
         for frame in range(len(qpos)):
             self._limit.start(qpos[frame - 1, 7:] if frame else None)
@@ -167,7 +203,19 @@ class Solver:
                 if self._step() < self.config.converged:
                     break
             qpos[frame] = self._configuration.q
+            self._free_arms(targets, frame)
         return qpos
+
+
+def _posture_cost(caught: tuple[str, ...]) -> np.ndarray:
+    """(35,) pull of each joint to the standing posture; strong for caught arms."""
+    cost = np.full(6 + g1.NUM_JOINTS, 0.02)
+    cost[6 + _ARM_JOINTS.start :] = 0.2
+    for side in caught:
+        for name in g1.JOINT_NAMES[_ARM_JOINTS]:
+            if name.startswith(side):
+                cost[6 + g1.joint_index(name)] = 2.0
+    return cost
 
 
 def _joint_ranges(config: RetargetConfig) -> tuple[np.ndarray, np.ndarray]:

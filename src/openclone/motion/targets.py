@@ -13,6 +13,13 @@ from openclone.motion.contacts import (
     runs,
     smooth,
 )
+from openclone.motion.reach import (
+    is_upright,
+    pitched,
+    squat_lift,
+    upright_offset,
+    within_waist,
+)
 from openclone.motion.skeleton import SIDES, HumanMotion, operator_points
 from openclone.robot.model import SOLE_CORNERS, SOLE_Z
 from openclone.spatial import rotations
@@ -40,6 +47,7 @@ class RetargetConfig:
         crouch: share of the straight leg used at the human's full height; keeps the
             knees off their singular straight pose.
         min_knee: radians, smallest bend of a knee.
+        max_ankle: radians, largest bend of an ankle, toes towards the shin.
         lowest_pelvis: metres; the ankles allow no deeper squat on flat feet.
         smooth_s: seconds, width of the Gaussian over the targets.
         max_joint_speed: radians per second.
@@ -53,6 +61,7 @@ class RetargetConfig:
 
     crouch: float = 0.97
     min_knee: float = 0.08
+    max_ankle: float = 0.8
     lowest_pelvis: float = 0.38
     smooth_s: float = 0.03
     max_joint_speed: float = 15.0
@@ -192,14 +201,14 @@ def make_targets(motion: HumanMotion, config: RetargetConfig) -> Targets:
     motion = level_ground(motion)
     contact = foot_contacts(motion)
     scale = (THIGH + SHANK) / motion.leg_length
-    pelvis_quat = _smooth_quat(motion.orientation("hips"), sigma)
-    torso_quat = _smooth_quat(motion.orientation("chest"), sigma)
+    pelvis_quat, torso_quat = _attitudes(motion, contact, sigma)
     hip = smooth(motion.hip_center, sigma) * scale
     level = ground_level(motion, "ankle")
     hip[:, 2] = config.crouch * (hip[:, 2] - scale * level) + ANKLE_HEIGHT
     pelvis = hip - rotations.rotate(pelvis_quat, np.array([0.0, 0.0, HIP_HEIGHT]))
     pelvis[:, 2] = _soft_floor(pelvis[:, 2], config.lowest_pelvis)
     feet = [_foot_targets(motion, contact, side, scale, config) for side in SIDES]
+    pelvis[:, 2] += _squat_lift(pelvis, pelvis_quat, feet, config)
     pelvis[:, 2] -= _reach_drop(pelvis, pelvis_quat, [foot[0] for foot in feet], config)
     torso = pelvis + rotations.rotate(pelvis_quat, TORSO)
     position = {"pelvis": pelvis}
@@ -217,6 +226,27 @@ def make_targets(motion: HumanMotion, config: RetargetConfig) -> Targets:
         position[f"{side}_wrist_yaw_link"] = elbow + FOREARM * fore
         quat[f"{side}_wrist_yaw_link"] = hands[:, index]
     return Targets(position, quat, contact)
+
+
+def _attitudes(
+    motion: HumanMotion, contact: np.ndarray, sigma: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Orientations (T, 4) of pelvis and torso, within what the waist can do."""
+    stretch = [
+        np.linalg.norm(
+            motion.joint(f"{side}_hip") - motion.joint(f"{side}_ankle"), axis=1
+        )
+        for side in SIDES
+    ]
+    leg = np.stack(stretch, axis=1) / motion.leg_length
+    upright = is_upright(motion.hip_center, motion.joint("neck"), leg)
+    upright &= contact.all(axis=1)
+    found = []
+    for joint in ("hips", "chest"):
+        quat = _smooth_quat(motion.orientation(joint), sigma)
+        found.append(pitched(quat, -upright_offset(quat, upright)))
+    pelvis, torso = found
+    return within_waist(pelvis, torso), torso
 
 
 def _soft_floor(height: np.ndarray, lowest: float, bend: float = 0.1) -> np.ndarray:
@@ -239,11 +269,34 @@ def _reach_drop(
         flat = np.linalg.norm(leg[:, :2], axis=1)
         height = np.sqrt(np.maximum(longest**2 - flat**2, 0.2**2))
         drops.append(leg[:, 2] - height)
-    need = np.max(drops, axis=0)
+    return _held_over(np.max(drops, axis=0))
+
+
+def _squat_lift(
+    pelvis: np.ndarray,
+    quat: np.ndarray,
+    feet: list[tuple[np.ndarray, np.ndarray]],
+    config: RetargetConfig,
+) -> np.ndarray:
+    """Metres (T,) to raise the pelvis so that no ankle bends beyond its range."""
+    lifts = []
+    for sign, (place, turn) in zip((1.0, -1.0), feet, strict=True):
+        offset = np.array([0.0, sign * HIP_HALF_WIDTH, HIP_HEIGHT])
+        leg = pelvis + rotations.rotate(quat, offset) - place
+        ahead = rotations.rotate(turn, np.array([1.0, 0.0, 0.0]))
+        level = np.linalg.norm(ahead[:, :2], axis=1)
+        forward = (leg[:, :2] * ahead[:, :2]).sum(axis=1) / np.maximum(level, 1e-6)
+        planar = np.stack((forward, leg[:, 2]), axis=1)
+        pitch = np.arctan2(ahead[:, 2], level)
+        lifts.append(squat_lift(planar, pitch, THIGH, SHANK, config.max_ankle))
+    return _held_over(np.max(lifts, axis=0))
+
+
+def _held_over(need: np.ndarray) -> np.ndarray:
+    """``need (T,)``, smoothed without ever falling below itself by much."""
     reach = round(0.06 * FPS)
-    widened = [
-        np.roll(np.pad(need, reach, mode="edge"), k) for k in range(-reach, reach + 1)
-    ]
+    padded = np.pad(need, reach, mode="edge")
+    widened = [np.roll(padded, k) for k in range(-reach, reach + 1)]
     return smooth(np.max(widened, axis=0)[reach:-reach], reach / 2)
 
 

@@ -1,0 +1,113 @@
+"""Splits: takes of one performance never part."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from openclone.motion.splits import DEV, TRAIN, Take, assign, keep, performance_of
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        ("accad/Female1_B02_WalkToStand", "accad/Female1_B02_WalkToStandT2"),
+        ("accad/Female1_B21_PutDownBoxToWalk", "accad/Female1_B21_S2_PutDownBoxToWalk"),
+        ("accad/Female1_A06_LiftBox", "accad/Female1_A06_LiftBoxT2"),
+        ("cmu/box-1", "cmu/box-3"),
+        ("cmu/basketball_signal_1", "cmu/basketball_signal_4"),
+        ("cmu/test_walking_1", "cmu/walking_5"),
+        ("hdm05/HDM_bd_squat1Reps_001_120", "hdm05/HDM_bd_squat1Reps_004_120"),
+        ("amass/01/01_01_poses", "amass/01/01_07_poses"),
+        ("cmu/walking_1", "cmu/walking_1~mirror"),
+    ],
+)
+def test_takes_of_one_performance(one: str, other: str) -> None:
+    assert performance_of(one) == performance_of(other)
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        ("hdm05/HDM_bd_squat1Reps_001_120", "hdm05/HDM_bk_squat1Reps_013_120"),
+        ("accad/Female1_B09_WalkTurnLeft90", "accad/Female1_B11_WalkTurnLeft135"),
+        ("cmu/walking_1", "cmu/jumping_1"),
+        ("a/walk_1", "b/walk_1"),
+    ],
+)
+def test_different_performances(one: str, other: str) -> None:
+    assert performance_of(one) != performance_of(other)
+
+
+def takes(count: int) -> list[Take]:
+    """``count`` performances of three takes in two categories."""
+    return [
+        Take(f"p{k}_{n}", f"p{k}", "walk" if k % 2 else "jump", 1.0 + k % 5)
+        for k in range(count)
+        for n in range(3)
+    ]
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.lists(
+        st.tuples(
+            st.integers(0, 8),
+            st.sampled_from(("walk", "jump", "turn")),
+            st.floats(0.5, 60),
+            st.sampled_from(("", "train", "dev")),
+        ),
+        min_size=1,
+        max_size=30,
+    ),
+    st.integers(0, 5),
+    st.floats(0, 0.5),
+)
+def test_performances_never_part(
+    rows: list[tuple[int, str, float, str]], seed: int, share: float
+) -> None:
+    items = [
+        Take(f"n{k}", f"p{group}", category, seconds, split)
+        for k, (group, category, seconds, split) in enumerate(rows)
+    ]
+    for sides in (assign(items, seed, share), keep(items)):
+        assert set(sides) == {take.name for take in items}
+        found = defaultdict(set)
+        for take in items:
+            found[take.performance].add(sides[take.name])
+        assert all(len(splits) == 1 for splits in found.values())
+
+
+def test_each_category_is_on_both_sides() -> None:
+    items = takes(12)
+    sides = assign(items, seed=0, dev_share=0.2)
+    for category in ("walk", "jump"):
+        seconds = {TRAIN: 0.0, DEV: 0.0}
+        for take in items:
+            if take.category == category:
+                seconds[sides[take.name]] += take.seconds
+        assert 0.05 < seconds[DEV] / sum(seconds.values()) < 0.35
+
+
+def test_one_performance_stays_in_training() -> None:
+    items = [Take(f"only_{n}", "only", "wave", 3.0) for n in range(4)]
+    assert set(assign(items, 0, 0.3).values()) == {TRAIN}
+    assert set(assign(takes(6), 0, 0.0).values()) == {TRAIN}
+
+
+def test_the_seed_decides_and_nothing_else() -> None:
+    items = takes(20)
+    assert assign(items, 3, 0.2) == assign(items[::-1], 3, 0.2)
+    assert assign(items, 3, 0.2) != assign(items, 4, 0.2)
+
+
+def test_given_splits_are_kept_unless_they_part_a_performance() -> None:
+    items = [
+        Take("a1", "a", "walk", 5.0, "train"),
+        Take("a2", "a", "walk", 2.0, "dev"),
+        Take("b1", "b", "walk", 2.0, "dev"),
+    ]
+    assert keep(items) == {"a1": "train", "a2": "train", "b1": "dev"}
