@@ -8,6 +8,7 @@ from openclone.errors import InputError
 from openclone.motion.clip import Clip
 from openclone.motion.edit import mirror, pad_still
 from openclone.robot.model import SensorLayout, build_model
+from openclone.training.distributed import threads_per_process
 from openclone.training.physics import ThreadedPhysics
 from openclone.training.reference import ReferenceMotions, build_reference
 from openclone.training.task import TaskConfig, TrackingTask
@@ -56,10 +57,18 @@ def load_reference(clips: list[Clip]) -> ReferenceMotions:
 def make_task(
     reference: ReferenceMotions, config: TaskConfig, seed: int, threads: int | None
 ) -> TrackingTask:
-    """A tracking task on the CPU backend, stepped by ``threads`` (default: all)."""
+    """A tracking task on the CPU backend.
+
+    Args:
+        reference: what to track.
+        config: settings of the task.
+        seed: of all randomness, the terrain's shape included.
+        threads: that step the robots; by default the process's share of the cores.
+    """
     rng = np.random.default_rng([seed, 4])
     terrain = build_terrain(config.randomization.terrain, rng)
     model = build_training_model(terrain)
+    threads = threads or threads_per_process()
     physics = ThreadedPhysics(model, config.num_envs, threads)
     layout = SensorLayout.of(model)
     return TrackingTask(reference, physics, layout, config, seed, terrain)
