@@ -44,6 +44,8 @@ def normalize(quat: Array) -> Array:
 def cross(a: Array, b: Array) -> Array:
     """Cross product of vectors ``(..., 3)`` over the last axis."""
     xp = namespace(a)
+    if xp is not np:
+        return xp.linalg.cross(*xp.broadcast_tensors(a, b))
     ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
     bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
     parts = (ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx)
