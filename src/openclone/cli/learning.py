@@ -119,7 +119,8 @@ def train_student(
 
     Args:
         preset: fast, quickstart, paper, smoke, or an ablation of the paper: mlp,
-            other-data, history-5, history-50, layers-1, experts-8.
+            other-data, history-5, history-50, layers-1, experts-8; real-odometry
+            adds the faults of a 10 Hz odometry.
         teacher: checkpoint of `openclone train teacher`; runs/teacher/teacher.pt by
             default.
         motions: as for the teacher.

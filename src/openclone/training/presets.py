@@ -8,6 +8,7 @@ from typing import TypeVar
 
 from openclone.errors import InputError
 from openclone.motion.clip import Clip
+from openclone.odometry.faults import REAL, OdometryFaultsConfig
 from openclone.odometry.noise import OdometryNoiseConfig
 from openclone.policy.mlp import MlpConfig
 from openclone.policy.moe import MoeConfig
@@ -148,6 +149,7 @@ class StudentPreset:
         history: frames of history H.
         network: experts, or the MLP of the baseline.
         noise: Eq. 2.
+        faults: what else is wrong with the odometry.
         task: settings during DAgger.
         tuning_task: settings during PPO.
         distillation, ppo: see there.
@@ -163,6 +165,7 @@ class StudentPreset:
     history: int = 25
     network: MoeConfig | MlpConfig = field(default_factory=MoeConfig)
     noise: OdometryNoiseConfig = field(default_factory=OdometryNoiseConfig)
+    faults: OdometryFaultsConfig = field(default_factory=OdometryFaultsConfig)
     task: TaskConfig = _STUDENT_TASK
     tuning_task: TaskConfig = _TUNING_TASK
     distillation: DistillationConfig = field(default_factory=DistillationConfig)
@@ -236,6 +239,7 @@ STUDENTS = {
     "history-5": replace(_STUDENT, history=5),
     "history-50": replace(_STUDENT, history=50),
     "layers-1": replace(_STUDENT, network=MoeConfig(layers=1)),
+    "real-odometry": replace(_STUDENT, faults=REAL),
     "experts-8": replace(_STUDENT, network=MoeConfig(experts=8)),
     "paper": StudentPreset(
         minutes=math.inf,

@@ -89,7 +89,8 @@ class StudentTrainer:
         """A fresh task seen through the student's sensors."""
         task = make_task(self.reference, config, self.seed, self.threads)
         rng = np.random.default_rng(self.seed + 1)
-        return StudentView(task, self.preset.history, self.preset.noise, rng)
+        preset = self.preset
+        return StudentView(task, preset.history, preset.noise, rng, preset.faults)
 
     def save(self, progress: Progress, extra: dict[str, object]) -> None:
         """Write checkpoint and bundle."""
