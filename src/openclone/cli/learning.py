@@ -247,6 +247,6 @@ def _print_plan(phases: list[PhasePlan], available_mb: float) -> None:
 def _duration(minutes: float) -> str:
     """Minutes in the unit that suits them."""
     for name, length in (("years", 525_600), ("days", 1440), ("hours", 60)):
-        if minutes >= 2 * length:
+        if minutes >= 1.5 * length:
             return f"{minutes / length:.1f} {name}"
     return f"{minutes:.1f} minutes"
