@@ -22,7 +22,7 @@ from openclone.robot.kinematics import Kinematics
 from openclone.robot.model import CONTROL_PERIOD, standing_qpos
 from openclone.spatial import rotations
 from openclone.teleop.loop import LoopConfig
-from openclone.teleop.messages import Phase, Subscriber
+from openclone.teleop.messages import Subscriber
 from openclone.teleop.recorder import TickLog
 from openclone.teleop.session import (
     OdometryName,
@@ -56,12 +56,13 @@ class OdometryReport:
         end_mm: the same at the end.
         heading_mean_deg, heading_max_deg: error of the heading.
         minute_mean_mm: mean position error of every full minute.
-        healthy_percent: ticks in which the odometry called itself tracking.
+        healthy_percent: frames after which the odometry trusted itself.
         scans: LiDAR frames used.
         scan_ms, scan_p99_ms: CPU time per frame for the odometry.
         trace_ms: CPU time per frame for the simulated LiDAR.
         cpu_per_second: CPU seconds of everything per simulated second.
-        tick_p50_ms, tick_p99_ms: of the control loop.
+        tick_p50_ms, tick_p99_ms: of the control loop; without real time the sensors'
+            simulation and the odometry happen in it.
         overruns: deadlines missed (real time only).
     """
 
@@ -180,7 +181,6 @@ def make_report(
         for k in range(0, len(error_mm) - minute + 1, minute)
     ]
     path = np.linalg.norm(np.diff(log.qpos[:, :2], axis=0), axis=1).sum()
-    lost = log.phase == Phase.DAMPING
     return OdometryReport(
         world=world,
         odometry=odometry,
@@ -194,7 +194,7 @@ def make_report(
         heading_mean_deg=float(heading_deg.mean()),
         heading_max_deg=float(heading_deg.max()),
         minute_mean_mm=tuple(minutes),
-        healthy_percent=100.0 * float((~lost).mean()),
+        healthy_percent=100.0 * (1.0 - cost.untrusted / max(cost.scans, 1)),
         scans=cost.scans,
         scan_ms=cost.scan_ms,
         scan_p99_ms=cost.scan_p99_ms,

@@ -77,24 +77,25 @@ class ImuSample:
     accel: np.ndarray
 
 
-def ideal_reading(
+def ideal_readings(
     positions_w: np.ndarray, quats: np.ndarray, step_s: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Gyroscope and accelerometer at the middle of three poses ``step_s`` apart.
+    """Gyroscope and accelerometer at all but the first and last of n poses.
 
     Args:
-        positions_w: (3, 3), metres, of the IMU.
-        quats: (3, 4), wxyz, world from IMU.
+        positions_w: (n, 3), metres, of the IMU, ``step_s`` apart.
+        quats: (n, 4), wxyz, world from IMU.
         step_s: seconds.
 
     Returns:
-        Rotation rate ``(3,)``, rad/s, and specific force ``(3,)``, m/s², IMU frame.
+        Rotation rates ``(n - 2, 3)``, rad/s, and specific forces ``(n - 2, 3)``, m/s²,
+        IMU frame.
     """
-    turn = rotations.multiply(rotations.conjugate(quats[0]), quats[2])
+    turn = rotations.multiply(rotations.conjugate(quats[:-2]), quats[2:])
     gyro = rotations.to_rotation_vector(turn) / (2.0 * step_s)
-    first, middle, last = positions_w
-    force_w = (last - 2.0 * middle + first) / step_s**2 + np.array([0.0, 0.0, GRAVITY])
-    return gyro, rotations.rotate_inverse(quats[1], force_w)
+    bend = positions_w[2:] - 2.0 * positions_w[1:-1] + positions_w[:-2]
+    force_w = bend / step_s**2 + np.array([0.0, 0.0, GRAVITY])
+    return gyro, rotations.rotate_inverse(quats[1:-1], force_w)
 
 
 class Ringing:
@@ -134,48 +135,64 @@ class SimulatedImu:
         self, config: ImuConfig, step_s: float, rng: np.random.Generator
     ) -> None:
         """Draw the biases; ``step_s`` is the time between poses, 5 ms for 200 Hz."""
-        self._config, self._step_s, self._rng = config, step_s, rng
+        self._config, self._step_s = config, step_s
+        # Apart, so that it does not matter how many poses come at once.
+        self._rng, self._shock_rng = rng.spawn(2)
         self.gyro_bias = config.gyro_bias * rng.standard_normal(3)
         self.accel_bias = config.accel_bias * rng.standard_normal(3)
         self._ringing = Ringing(config.shock, step_s) if config.shock else None
-        self._poses: list[tuple[int, np.ndarray, np.ndarray]] = []
+        self._stamps = np.zeros(0, dtype=np.int64)
+        self._positions, self._quats = np.zeros((0, 3)), np.zeros((0, 4))
         self._force: np.ndarray | None = None
 
     def update(
-        self, stamp_ns: int, position_w: np.ndarray, quat: np.ndarray, force: np.ndarray
-    ) -> ImuSample | None:
-        """Take the newest pose; returns the reading of the pose before it.
+        self,
+        stamps_ns: np.ndarray,
+        positions_w: np.ndarray,
+        quats: np.ndarray,
+        forces: np.ndarray,
+    ) -> list[ImuSample]:
+        """Take the newest poses; returns the readings of the poses before each.
 
         Args:
-            stamp_ns: of the pose.
-            position_w: (3,), metres, of the IMU.
-            quat: (4,), wxyz, world from IMU.
-            force: (2,), N, normal force on each foot.
+            stamps_ns: (n,), of the poses.
+            positions_w: (n, 3), metres, of the IMU.
+            quats: (n, 4), wxyz, world from IMU.
+            forces: (n, 2), N, normal force on each foot.
         """
-        shake = self._shake(force)
-        self._poses = [*self._poses[-2:], (stamp_ns, position_w.copy(), quat.copy())]
-        if len(self._poses) < 3:
-            return None
-        stamps, positions, quats = zip(*self._poses, strict=True)
-        gyro, accel = ideal_reading(np.array(positions), np.array(quats), self._step_s)
-        config, draw = self._config, self._rng.standard_normal((4, 3))
-        walk = math.sqrt(self._step_s)
-        self.gyro_bias = self.gyro_bias + config.gyro_walk * walk * draw[0]
-        self.accel_bias = self.accel_bias + config.accel_walk * walk * draw[1]
-        gyro = gyro + self.gyro_bias + config.gyro_sigma * draw[2] + shake[3:]
-        accel = accel + self.accel_bias + config.accel_sigma * draw[3] + shake[:3]
-        return ImuSample(stamps[1], gyro, accel)
+        shake = np.array([self._shake(force) for force in forces]).reshape(-1, 6)
+        stamps = np.concatenate((self._stamps, stamps_ns))
+        positions = np.concatenate((self._positions, positions_w))
+        quats = np.concatenate((self._quats, quats))
+        self._stamps, self._positions = stamps[-2:], positions[-2:]
+        self._quats = quats[-2:]
+        count = len(stamps) - 2
+        if count < 1:
+            return []
+        gyro, accel = ideal_readings(positions, quats, self._step_s)
+        config, draw = self._config, self._rng.standard_normal((count, 4, 3))
+        walk = math.sqrt(self._step_s) * np.cumsum(draw[:, :2], axis=0)
+        gyro_bias = self.gyro_bias + config.gyro_walk * walk[:, 0]
+        accel_bias = self.accel_bias + config.accel_walk * walk[:, 1]
+        self.gyro_bias, self.accel_bias = gyro_bias[-1], accel_bias[-1]
+        shake = shake[-count:]
+        gyro += gyro_bias + config.gyro_sigma * draw[:, 2] + shake[:, 3:]
+        accel += accel_bias + config.accel_sigma * draw[:, 3] + shake[:, :3]
+        rows = zip(stamps[1:-1].tolist(), gyro, accel, strict=True)
+        return [ImuSample(*row) for row in rows]
 
     def _shake(self, force: np.ndarray) -> np.ndarray:
         """Ringing (6,) after the contact forces rose to ``force (2,)``."""
-        before, self._force = self._force, force.copy()
+        before, self._force = self._force, force
         shock = self._config.shock
-        if self._ringing is None or shock is None or before is None:
+        if self._ringing is None or shock is None:
             return np.zeros(6)
-        rise = force - before
-        rise = float(rise[rise > shock.threshold].sum())
+        rises = force - before if before is not None else np.zeros(2)
+        rise = float(rises[rises > shock.threshold].sum())
+        if rise == 0.0:
+            return self._ringing.step(np.zeros(6))
         # Mostly along the body, which is the housing's z axis; the rest as it comes.
-        way = np.array([0.0, 0.0, 1.0]) + 0.5 * self._rng.standard_normal(3)
-        spin = self._rng.standard_normal(3)
-        kick = (shock.speed_per_newton * way, shock.spin_per_newton * spin)
+        draw = self._shock_rng.standard_normal(6)
+        way = np.array([0.0, 0.0, 1.0]) + 0.5 * draw[:3]
+        kick = (shock.speed_per_newton * way, shock.spin_per_newton * draw[3:])
         return self._ringing.step(rise * np.concatenate(kick))

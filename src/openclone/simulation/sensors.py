@@ -23,9 +23,9 @@ from openclone.simulation.lidar import Mid360Config, Motion, SimulatedLidar
 from openclone.simulation.robot import SimulatedRobot
 from openclone.simulation.worlds import World
 from openclone.spatial.poses import Pose
-from openclone.spatial.rotations import from_matrix
 
 _STEP_NS = round(TIMESTEP * 1e9)
+_IMU_IN_LIDAR = np.array(IMU_IN_LIDAR)
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class HeadSensors:
         self._data = mujoco.MjData(world.model)
         self._frame_steps = round(self._config.lidar.frame_s / TIMESTEP)
         self.now_ns = 0
-        self._samples: list[ImuSample] = []
+        self._poses: list[tuple[int, Pose, np.ndarray]] = []
         self._motions: list[Motion] = []
         self._complete: list[Motion] = []
         self._stamps: list[int] = []
@@ -74,8 +74,15 @@ class HeadSensors:
 
     def take_imu(self) -> list[ImuSample]:
         """Readings since the last call, oldest first."""
-        taken, self._samples = self._samples, []
-        return taken
+        taken, self._poses = self._poses, []
+        if not taken:
+            return []
+        return self.imu.update(
+            np.array([stamp for stamp, _, _ in taken]),
+            np.array([pose.position for _, pose, _ in taken]),
+            np.array([pose.quat for _, pose, _ in taken]),
+            np.array([force for _, _, force in taken]),
+        )
 
     def take_motions(self) -> list[Motion]:
         """Motions of the frames completed since the last call, for `lidar.trace`."""
@@ -93,11 +100,8 @@ class HeadSensors:
         self._world.move_people(robot.data, self.now_ns * 1e-9)
         data.qpos[:] = robot.data.qpos
         mujoco.mj_kinematics(self._world.model, data)
-        pose = imu_pose(data)
         force = robot.data.sensordata[self._layout.foot_force].reshape(2, 3)[:, 2]
-        sample = self.imu.update(self.now_ns, pose.position, pose.quat, np.abs(force))
-        if sample is not None:
-            self._samples.append(sample)
+        self._poses.append((self.now_ns, imu_pose(data), np.abs(force)))
         # The reading at a frame's end comes one step later, and the frame after it.
         self._motions += self._complete
         self._complete = []
@@ -113,5 +117,6 @@ class HeadSensors:
 def imu_pose(data: mujoco.MjData) -> Pose:
     """World from IMU, after `mj_kinematics` of any model with the site ``lidar``."""
     site = data.site("lidar")
-    matrix = site.xmat.reshape(3, 3)
-    return Pose(site.xpos + matrix @ np.array(IMU_IN_LIDAR), from_matrix(matrix))
+    quat = np.empty(4)
+    mujoco.mju_mat2Quat(quat, site.xmat)
+    return Pose(site.xpos + site.xmat.reshape(3, 3) @ _IMU_IN_LIDAR, quat)
