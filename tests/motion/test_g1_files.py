@@ -198,9 +198,10 @@ def test_a_data_set_may_hold_foreign_clips(tmp_path: Path) -> None:
         ("0.790000,", "", "line 1: expected 36 finite numbers, found 35"),
         ("0.790000", "nan", "line 1: expected 36 finite"),
         ("0.790000", "7_9", "line 1: expected 36 finite"),
-        ("1.000000", "2.000000", "line 1: the quaternion has length 2"),
-        ("0.250000", "25.0", "a joint angle in radians is 25"),
-        ("0.790000", "79000", "the pelvis position in metres"),
+        ("1.000000", "2.000000", "line 1: column 7 is 2"),
+        ("1.000000", "0.200000", "line 1: the quaternion has length 0.2"),
+        ("0.250000", "25.0", "line 6: column 23 is 25"),
+        ("0.790000", "79000", "line 1: column 3 is 7.9e"),
     ],
 )
 def test_malformed_csv(tmp_path: Path, old: str, new: str, message: str) -> None:

@@ -10,13 +10,13 @@ from __future__ import annotations
 import hashlib
 import json
 import zipfile
-import zlib
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 
 from openclone.errors import InputError
+from openclone.motion.npz import UNREADABLE, unpack
 from openclone.robot import g1
 from openclone.spatial import rotations
 
@@ -28,12 +28,6 @@ CATEGORIES = (
     "jump", "punch", "wave", "reach", "pickup", "transition",
 )  # fmt: skip
 """The paper's nine motion types (Fig. 4), then wave, reach, pickup, transition."""
-
-_UNREADABLE = (
-    OSError, ValueError, KeyError, TypeError, AttributeError, EOFError, RuntimeError,
-    zipfile.BadZipFile, zlib.error,
-)  # fmt: skip
-"""What NumPy, zipfile and json raise on damaged files."""
 
 
 @dataclass(frozen=True)
@@ -194,17 +188,16 @@ def load_clip(path: Path) -> Clip:
         with zipfile.ZipFile(path) as archive:
             if sum(item.file_size for item in archive.infolist()) > 4 * MAX_FILE_BYTES:
                 raise InputError("the arrays are larger than 1 GB", where=where)
-        with np.load(path, allow_pickle=False) as data:
-            metadata = json.loads(str(data["metadata"]))
-            arrays = [
-                np.asarray(data[name], dtype=np.float64)
-                for name in ("root_position", "root_quat", "joint_angles")
-            ]
+        metadata = json.loads(str(unpack(path, "metadata")))
+        arrays = [
+            np.asarray(unpack(path, name), dtype=np.float64)
+            for name in ("root_position", "root_quat", "joint_angles")
+        ]
         if metadata.pop("format", None) != FORMAT:
             raise InputError(f"not a {FORMAT} file", where=where, remedy=remedy)
         texts = {name: str(value) for name, value in metadata.items()}
         info = ClipInfo(**{**texts, "fps": float(metadata["fps"])})
-    except _UNREADABLE as error:
+    except UNREADABLE as error:
         raise InputError(
             f"not a readable clip ({error})", where=where, remedy=remedy
         ) from error

@@ -19,7 +19,7 @@ from openclone.errors import InputError
 
 MAX_BYTES = 256 * 1024 * 1024
 MAX_ARRAY_BYTES = 256 * 1024 * 1024
-_UNREADABLE = (
+UNREADABLE = (
     OSError, ValueError, KeyError, TypeError, AttributeError, EOFError, IndexError,
     RuntimeError, OverflowError, MemoryError, SyntaxError, struct.error,
     zipfile.BadZipFile, zlib.error, lzma.LZMAError,
@@ -46,7 +46,7 @@ def array_names(path: Path) -> frozenset[str]:
     try:
         with zipfile.ZipFile(path) as archive:
             names = archive.namelist()
-    except _UNREADABLE as error:
+    except UNREADABLE as error:
         raise _broken(path, f"not a readable npz file ({error})") from error
     return frozenset(name.removesuffix(".npy") for name in names)
 
@@ -70,11 +70,17 @@ def _read_member(archive: zipfile.ZipFile, name: str) -> np.ndarray:
         if any(length < 0 for length in shape):
             raise ValueError(f"shape {shape}")
         wanted = math.prod(shape) * dtype.itemsize
-        data = stream.read(min(wanted, size) + 1)
+        data = bytearray(stream.read(min(wanted, size) + 1))  # writable
     if len(data) != wanted:
         raise ValueError(f"{len(data)} bytes of data, shape {shape} needs {wanted}")
     values = np.frombuffer(data, dtype=dtype) if wanted else np.empty(0, dtype)
     return values.reshape(shape, order="F" if fortran else "C")
+
+
+def unpack(path: Path, name: str) -> np.ndarray:
+    """The array called ``name``, of numbers or text; one of `UNREADABLE` if not."""
+    with zipfile.ZipFile(path) as archive:
+        return _read_member(archive, name)
 
 
 def read_array(path: Path, name: str) -> np.ndarray:
@@ -84,9 +90,8 @@ def read_array(path: Path, name: str) -> np.ndarray:
         InputError: it is missing, damaged, giant, or would need pickle.
     """
     try:
-        with zipfile.ZipFile(path) as archive:
-            return _read_member(archive, name)
-    except _UNREADABLE as error:
+        return unpack(path, name)
+    except UNREADABLE as error:
         raise _broken(path, f"the array {name!r} is not readable ({error})") from error
 
 

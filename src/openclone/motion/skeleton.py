@@ -22,8 +22,8 @@ JOINTS = (
 )  # fmt: skip
 """Canonical joints; ``toe`` is the ball of the foot."""
 SIDES = ("left", "right")
-MAX_FRAMES = 200_000
-"""Half an hour at 110 Hz; keeps the memory of one recording far below 1 GB."""
+MAX_FRAMES = 150_000
+"""20 minutes at 120 Hz; reading that much takes 0.75 GB."""
 _METRES = {
     "m": 1.0,
     "cm": 0.01,

@@ -39,6 +39,7 @@ class _Bone:
     axis: np.ndarray = field(default_factory=lambda: np.array(rotations.IDENTITY))
     dofs: tuple[str, ...] = ()
     parent: str = ""
+    where: str = ""
 
 
 @dataclass(frozen=True)
@@ -75,6 +76,7 @@ class _SkeletonReader:
         self.radians = np.pi / 180
         self.order = tuple(_ROOT_ORDER.split())
         self.section = ""
+        self.where = ""
 
     def read(self) -> None:
         with Lines(self.path, comment="#", most=MAX_SKELETON_BYTES) as lines:
@@ -92,6 +94,7 @@ class _SkeletonReader:
                     self._bone(lines)
                 elif self.section == "hierarchy" and words[0] not in ("begin", "end"):
                     self._children(words, lines.where)
+            self.where = lines.where
 
     def _unit(self, words: list[str], where: str) -> None:
         if words[0] == "length":
@@ -116,7 +119,7 @@ class _SkeletonReader:
     def _bone(self, lines: Lines) -> None:
         """The bone between the lines ``begin`` and ``end``."""
         first = lines.where
-        bone = _Bone("")
+        bone = _Bone("", where=first)
         direction, length = np.zeros(3), 0.0
         axis: tuple[np.ndarray, str] = (np.zeros(3), "XYZ")
         for line in lines:
@@ -194,15 +197,15 @@ def read_skeleton(path: Path) -> Skeleton:
     reader = _SkeletonReader(path)
     reader.read()
     return Skeleton(
-        bones=_parents_first(reader.bones, path),
+        bones=_parents_first(reader.bones),
         metres=INCH / reader.scale,
         radians=reader.radians,
         order=reader.order,
-        item=_choose_map(reader.bones, path),
+        item=_choose_map(reader.bones, path, reader.where),
     )
 
 
-def _choose_map(bones: dict[str, _Bone], path: Path) -> SkeletonMap:
+def _choose_map(bones: dict[str, _Bone], path: Path, where: str) -> SkeletonMap:
     """The first map all of whose joints are bones of this skeleton."""
     problem: tuple[str, tuple[str, ...]] = ("hips", ("root",))
     for item in maps_for("asf", path):
@@ -213,13 +216,13 @@ def _choose_map(bones: dict[str, _Bone], path: Path) -> SkeletonMap:
     joint, names = problem
     raise InputError(
         f"no bone {' or '.join(map(repr, names))} for {joint}",
-        where=str(path),
+        where=where,
         remedy="use the bone names of HDM05 or CMU skeletons, or put a skeleton map "
         "beside it",
     )
 
 
-def _parents_first(bones: dict[str, _Bone], path: Path) -> list[_Bone]:
+def _parents_first(bones: dict[str, _Bone]) -> list[_Bone]:
     ordered, names = [bones["root"]], {"root"}
     waiting = [bone for bone in bones.values() if bone.name != "root"]
     while waiting:
@@ -227,7 +230,7 @@ def _parents_first(bones: dict[str, _Bone], path: Path) -> list[_Bone]:
         if not ready:
             raise InputError(
                 f"bone {waiting[0].name[:40]!r} does not hang on the root",
-                where=str(path),
+                where=waiting[0].where,
                 remedy="complete the :hierarchy section",
             )
         ordered += ready
@@ -371,4 +374,4 @@ def read(path: Path) -> HumanMotion:
         quats = to_body_axes(quats, item)
         rate = re.search(r"_\d{3}_(\d{2,3})$", path.stem)
         fps = float(rate.group(1)) if rate else DEFAULT_FPS
-        return make_motion(path.stem, fps, positions, quats, str(path))
+        return make_motion(path.stem, fps, positions, quats, f"{path}, line 1")

@@ -194,7 +194,9 @@ def _raise_arms(rest: np.ndarray, item: SkeletonMap) -> SkeletonMap:
     return replace(item, axes=axes)
 
 
-def choose_map(nodes: list[Node], path: Path) -> tuple[SkeletonMap, list[int]]:
+def choose_map(
+    nodes: list[Node], path: Path, where: str
+) -> tuple[SkeletonMap, list[int]]:
     """The map whose T-pose is the most upright, and the canonical joints' indices.
 
     Raises:
@@ -214,7 +216,7 @@ def choose_map(nodes: list[Node], path: Path) -> tuple[SkeletonMap, list[int]]:
         _, joint, item = max(missing, key=lambda entry: entry[0])
         raise InputError(
             f"no joint for {joint}",
-            where=str(path),
+            where=where,
             remedy="name it one of "
             + ", ".join(item.names[joint])
             + ", or put a skeleton map beside it",
@@ -223,7 +225,7 @@ def choose_map(nodes: list[Node], path: Path) -> tuple[SkeletonMap, list[int]]:
     if tilt > MAX_TILT_DEG:
         raise InputError(
             f"the T-pose would have a leg or the spine {tilt:.0f} degrees from upright",
-            where=str(path),
+            where=where,
             remedy="put a skeleton map beside it that names the joints' axes",
         )
     return _raise_arms(_rest_pose(nodes, found), item), found
@@ -246,7 +248,8 @@ def read(path: Path) -> HumanMotion:
     """
     with Lines(path) as lines, np.errstate(all="ignore"):
         nodes = read_hierarchy(lines)
-        item, chosen = choose_map(nodes, path)
+        where = lines.where
+        item, chosen = choose_map(nodes, path, where)
         width = sum(len(node.channels) for node in nodes)
         fps, values = read_frames(lines, width, path)
         values = _upright_again(nodes, values)
@@ -260,9 +263,9 @@ def read(path: Path) -> HumanMotion:
             positions[part], quats[part] = place[:, chosen], turn[:, chosen]
         leg = [JOINTS.index(f"left_{part}") for part in ("hip", "knee", "ankle")]
         bones = np.linalg.norm(np.diff(positions[0, leg], axis=0), axis=-1)
-        positions *= scale_to_metres(float(bones.sum()), str(path))
+        positions *= scale_to_metres(float(bones.sum()), where)
         first = _calibration_frames(positions, fps)
         assert item.world is not None  # filled in by choose_map
         positions = (positions @ item.world.T)[first:]
         quats = to_body_axes(quats, item)[first:]
-        return make_motion(path.stem, fps, positions, quats, str(path))
+        return make_motion(path.stem, fps, positions, quats, where)

@@ -19,7 +19,7 @@ from openclone.motion.skeleton_maps import maps_for, pose_fixed, to_body_axes
 from openclone.motion.sources.text_lines import check_file
 
 FRAME_SIZE = 44
-MAX_BYTES = 128 * 1024 * 1024
+MAX_BYTES = 64 * 1024 * 1024
 MAX_ENTRY = 65_536
 """Characters of a frame, or of another entry beside the frames."""
 _SPACE = re.compile(r"[ \t\r\n]*")
@@ -35,9 +35,10 @@ class _Json:
         try:
             self.text = path.read_text(encoding="utf-8-sig")
         except UnicodeDecodeError as error:
+            line = error.object.count(b"\n", 0, error.start) + 1
             raise InputError(
                 f"not UTF-8 text (byte {error.start})",
-                where=str(path),
+                where=f"{path}, line {line}",
                 remedy="use a DeepMimic motion file",
             ) from None
         self.at = 0
@@ -190,5 +191,5 @@ def read(path: Path) -> HumanMotion:
             fps,
             positions @ item.world.T,
             to_body_axes(quats, item),
-            str(path),
+            places[0],
         )

@@ -13,6 +13,10 @@ from openclone.spatial import rotations
 
 CATEGORY = "transition"
 LICENCE = "unknown"
+MAX_ANGLE = 10.0
+"""Radians; no joint of the G1 turns that far."""
+MAX_DISTANCE = 1000.0
+"""Metres from the origin."""
 
 
 def clip_from_arrays(
@@ -21,6 +25,7 @@ def clip_from_arrays(
     position: np.ndarray,
     quat: np.ndarray,
     joints: np.ndarray,
+    where: str = "",
 ) -> Clip:
     """Check the arrays of a file and make a clip of them.
 
@@ -30,10 +35,12 @@ def clip_from_arrays(
         position: (T, 3), metres, world: the pelvis.
         quat: (T, 4), wxyz, world from pelvis.
         joints: (T, 29), radians, motor order.
+        where: the place in the file, for errors.
 
     Raises:
         InputError: lengths differ, or a value makes no sense.
     """
+    where = where or str(path)
     # Quaternions that are unit already stay as they are: round trips are exact.
     lengths = np.linalg.norm(quat, axis=-1, keepdims=True)
     if len(quat) and abs(lengths - 1).max() > 0.01:
@@ -41,22 +48,22 @@ def clip_from_arrays(
         length = lengths[frame, 0]
         raise InputError(
             f"the root's quaternion in frame {frame} has length {length:.4g}",
-            where=str(path),
+            where=where,
             remedy="write unit quaternions",
         )
     unit = np.where(abs(lengths - 1) < 1e-9, quat, rotations.normalize(quat))
     info = ClipInfo(path.stem, CATEGORY, path.name, LICENCE, fps)
     clip = Clip(info, position, rotations.make_continuous(unit), joints)
-    clip = check_clip(clip, str(path))
+    clip = check_clip(clip, where)
     for name, values, most in (
-        ("a joint angle in radians", joints, 10.0),
-        ("the pelvis position in metres", position, 1000.0),
+        ("a joint angle in radians", joints, MAX_ANGLE),
+        ("the pelvis position in metres", position, MAX_DISTANCE),
     ):
         frame = int(np.abs(values).max(1).argmax())
         if np.abs(values[frame]).max() > most:
             raise InputError(
                 f"{name} is {np.abs(values[frame]).max():.4g} in frame {frame}",
-                where=str(path),
+                where=where,
                 remedy="check units and columns",
             )
     return clip

@@ -15,7 +15,12 @@ import numpy as np
 from openclone.errors import InputError
 from openclone.motion.clip import Clip
 from openclone.motion.skeleton import MAX_FRAMES
-from openclone.motion.sources.g1_clip import clip_from_arrays, write_whole
+from openclone.motion.sources.g1_clip import (
+    MAX_ANGLE,
+    MAX_DISTANCE,
+    clip_from_arrays,
+    write_whole,
+)
 from openclone.motion.sources.text_lines import Lines, parse_numbers
 from openclone.robot import g1
 
@@ -30,12 +35,20 @@ def read(path: Path, fps: float = FPS) -> Clip:
         InputError: the file is missing or a row malformed; the message names the line.
     """
     values = array("d")
+    most = np.repeat((MAX_DISTANCE, 1.01, MAX_ANGLE), (3, 4, g1.NUM_JOINTS))
     with Lines(path) as lines:
         for line in lines:
             if not line:
                 continue
             row = parse_numbers(line.split(","), COLUMNS, lines.where)
-            length = float(np.linalg.norm(np.clip(row[3:7], -1e6, 1e6)))
+            far = np.flatnonzero(np.abs(row) > most)
+            if len(far):
+                raise InputError(
+                    f"column {far[0] + 1} is {row[far[0]]:.4g}",
+                    where=lines.where,
+                    remedy="positions are in metres, joint angles in radians",
+                )
+            length = float(np.linalg.norm(row[3:7]))
             if abs(length - 1) > 0.01:
                 raise InputError(
                     f"the quaternion has length {length:.4g}, expected 1",
@@ -49,9 +62,10 @@ def read(path: Path, fps: float = FPS) -> Clip:
                     remedy="cut the motion into pieces",
                 )
             values.extend(row.tolist())
+        where = lines.where
     rows = np.frombuffer(values, dtype=float).reshape(-1, COLUMNS)
     quat = rows[:, [6, 3, 4, 5]]
-    return clip_from_arrays(path, fps, rows[:, :3], quat, rows[:, 7:])
+    return clip_from_arrays(path, fps, rows[:, :3], quat, rows[:, 7:], where)
 
 
 def write(clip: Clip, path: Path) -> None:

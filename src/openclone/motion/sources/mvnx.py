@@ -231,5 +231,5 @@ def read(path: Path) -> HumanMotion:
             reader.fps,
             position @ reader.item.world.T,
             to_body_axes(quat, reader.item),
-            str(path),
+            reader.where,
         )

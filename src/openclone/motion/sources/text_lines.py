@@ -72,7 +72,7 @@ class Lines:
     @property
     def where(self) -> str:
         """File and line, for errors."""
-        return f"{self._path}, line {self.number}"
+        return f"{self._path}, line {max(self.number, 1)}"
 
     def take(self) -> str | None:
         """The next line, None at the end.
