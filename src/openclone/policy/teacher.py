@@ -31,11 +31,23 @@ def teacher_observation(
     torso = g1.TORSO
     anchor = robot.body_position[:, torso : torso + 1]
     turn = robot.body_quat[:, torso]
-    turns = turn[:, None]
-    default = torch.as_tensor(g1.DEFAULT_POSE, dtype=turn.dtype)
-
-    def local(vectors: torch.Tensor) -> torch.Tensor:
-        return rotations.rotate_inverse(turns, vectors).flatten(1)
+    default = torch.as_tensor(g1.DEFAULT_POSE, dtype=turn.dtype, device=turn.device)
+    bodies, here = len(g1.KEY_BODIES), slice(torso, torso + 1)
+    # All vectors are turned at once: many small operations would take longer.
+    vectors = (
+        reference.body_velocity[:, here],
+        reference.body_angular_velocity[:, here],
+        robot.body_velocity[:, here],
+        robot.body_angular_velocity[:, here],
+        robot.body_position - anchor,
+        reference.body_position - anchor,
+        reference.body_velocity - robot.body_velocity,
+    )
+    turned = rotations.rotate_inverse(turn[:, None], torch.cat(vectors, 1))
+    sizes = (1, 1, 1, 1, bodies, bodies, bodies)
+    wanted_velocity, wanted_spin, velocity, spin, robot_at, wanted_at, lag = (
+        part.flatten(1) for part in turned.split(sizes, 1)
+    )
 
     relative = rotations.multiply(
         rotations.conjugate(turn), reference.body_quat[:, torso]
@@ -44,18 +56,18 @@ def teacher_observation(
         reference.joint_angles - default,
         reference.joint_velocities * 0.05,
         rotations.to_6d(relative),
-        local(reference.body_velocity[:, torso : torso + 1]),
-        local(reference.body_angular_velocity[:, torso : torso + 1]) * 0.25,
+        wanted_velocity,
+        wanted_spin * 0.25,
         robot.joint_angles - default,
         robot.joint_velocities * 0.05,
-        local(robot.body_velocity[:, torso : torso + 1]),
-        local(robot.body_angular_velocity[:, torso : torso + 1]) * 0.25,
+        velocity,
+        spin * 0.25,
         gravity_b(robot.body_quat[:, g1.ROOT]),
         robot.foot_force.flatten(1).clamp(-1000, 1000) / 300.0,
         robot.body_velocity[:, list(g1.FEET)].flatten(1),
         action * 0.5,
-        local(robot.body_position - anchor),
-        local(reference.body_position - anchor),
-        local(reference.body_velocity - robot.body_velocity) * 0.5,
+        robot_at,
+        wanted_at,
+        lag * 0.5,
     )
     return torch.cat(parts, -1)

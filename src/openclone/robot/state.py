@@ -66,12 +66,11 @@ def key_point_poses(body_position: Array, body_quat: Array) -> tuple[Array, Arra
     """
     xp = rotations.namespace(body_position)
     bodies = [g1.TORSO, *g1.WRISTS]
-    quat = body_quat[..., bodies, :]
-    offset = 0 * body_position[..., bodies, :]
+    position, quat = body_position[..., bodies, :], body_quat[..., bodies, :]
+    offset = xp.zeros_like(position)
     offset[..., 0, 2] = g1.HEAD_OFFSET[2]
     offset[..., 1:, 0] = g1.HAND_OFFSET[0]
-    position = body_position[..., bodies, :] + rotations.rotate(quat, offset)
-    return position, xp.ones_like(quat) * quat
+    return position + rotations.rotate(quat, offset), quat
 
 
 def key_point_velocities(state: RobotState) -> Array:

@@ -11,7 +11,7 @@ import torch
 from openclone.policy.teacher import teacher_observation
 from openclone.robot import g1
 from openclone.robot.model import CONTROL_PERIOD, SensorLayout
-from openclone.robot.state import RobotState, key_point_poses, read_state
+from openclone.robot.state import RobotState, read_state
 from openclone.spatial import rotations
 from openclone.training.births import displace, to_standing
 from openclone.training.physics import Physics
@@ -109,6 +109,7 @@ class TrackingTask:
         bins = reference.num_frames // _BIN + 1
         self.failures = torch.full((bins,), 0.1)
         self._visits = torch.ones(bins)
+        self._looked_up: tuple[torch.Tensor, RobotState] | None = None
         self._displaced = torch.zeros(n, dtype=torch.bool)
         self._born_age = torch.zeros(n, dtype=torch.long)
         ages = self.age.clone()
@@ -128,7 +129,14 @@ class TrackingTask:
 
     def next_reference(self) -> RobotState:
         """Reference states at t + 1."""
-        return self.reference.at(self.next_frame())
+        return self._reference_at(self.next_frame())
+
+    def _reference_at(self, frame: torch.Tensor) -> RobotState:
+        """Reference states; observing and stepping ask for the same ones."""
+        if self._looked_up is None or not torch.equal(self._looked_up[0], frame):
+            # A copy: resets change the frames in place.
+            self._looked_up = (frame.clone(), self.reference.at(frame))
+        return self._looked_up[1]
 
     def residual_to_target(self, action: torch.Tensor) -> torch.Tensor:
         """Joint targets of the teacher's action: an offset to the reference angles."""
@@ -138,7 +146,7 @@ class TrackingTask:
     def teacher_observation(self) -> torch.Tensor:
         """(n, d): the privileged observation of section 3.1."""
         following = self.next_frame()
-        reference = self.reference.at(following)
+        reference = self._reference_at(following)
         bodies = self.reference.frames.body_position
         last = self.reference.last[following]
         ahead = torch.minimum(following + self.config.lead_frames, last)
@@ -159,7 +167,7 @@ class TrackingTask:
             episodes where ``done`` is set.
         """
         following = self.next_frame()
-        reference = self.reference.at(following)
+        reference = self._reference_at(following)
         previous_action = self.action
         self.action = (targets - reference.joint_angles) / self.action_scale
         before = self._state
@@ -168,18 +176,19 @@ class TrackingTask:
         self.frame = following
         self.age += 1
         self._read()
-        failed = self._failed(reference)
         tracking = TrackingState(
             robot=self._state,
             reference=reference,
             action=self.action,
             previous_action=previous_action,
             previous_velocities=before.joint_velocities,
-            terminated=failed,
+            terminated=torch.zeros(self.num_envs, dtype=torch.bool),
             air_time=self._air_time,
             style=self._style_reward(before),
             period=CONTROL_PERIOD,
         )
+        failed = self._failed(tracking)
+        tracking.terminated[:] = failed
         weights = self.config.weights
         per_second, terms = total_reward(tracking, weights)
         bounded = torch.nan_to_num(per_second).clamp(-weights.limit, weights.limit)
@@ -239,25 +248,21 @@ class TrackingTask:
             kick[:, :2] = self._rng.uniform(-1, 1, (len(ids), 2))
             self.physics.push(ids, kick * self.config.push_speed)
 
-    def _failed(self, reference: RobotState) -> torch.Tensor:
+    def _failed(self, tracking: TrackingState) -> torch.Tensor:
         """(n,) bool: beyond the termination limits."""
-        limits, robot, torso = self.config.limits, self._state, g1.TORSO
+        limits, torso = self.config.limits, g1.TORSO
+        robot, reference = tracking.robot, tracking.reference
         height = robot.body_position[:, torso, 2] - reference.body_position[:, torso, 2]
-        up = rotations.rotate(robot.body_quat[:, torso], torch.tensor([0.0, 0, 1]))
-        up_wanted = rotations.rotate(
-            reference.body_quat[:, torso], torch.tensor([0.0, 0, 1])
-        )
+        vertical = robot.body_quat.new_tensor([0.0, 0.0, 1.0])
+        up = rotations.rotate(robot.body_quat[:, torso], vertical)
+        up_wanted = rotations.rotate(reference.body_quat[:, torso], vertical)
         tilt = torch.arccos((up * up_wanted).sum(-1).clamp(-1, 1))
-        angle = rotations.angle_between(
-            robot.body_quat[:, torso], reference.body_quat[:, torso]
-        )
+        angle = tracking.angles[:, torso]
         ends = [*g1.FEET, *g1.WRISTS]
         end_height = (
             robot.body_position[:, ends, 2] - reference.body_position[:, ends, 2]
         )
-        points, _ = key_point_poses(robot.body_position, robot.body_quat)
-        wanted, _ = key_point_poses(reference.body_position, reference.body_quat)
-        distance = (points - wanted).norm(dim=-1).mean(-1)
+        distance = tracking.point_offsets.norm(dim=-1).mean(-1)
         # Robots born away from the reference get time to come closer.
         settling = self._displaced & (self.age < self._born_age + 150)
         strict = (
@@ -288,6 +293,8 @@ class TrackingTask:
     def _sample_frames(self, count: int) -> torch.Tensor:
         """Start frames: partly where robots fail, partly uniform, up to 1 s earlier."""
         rate = (self.failures / (self._visits + 1.0)).clamp(max=0.5) + 0.01
+        # Thousands of easy bins would outweigh the few hard ones.
+        rate = rate**1.5
         share = self.config.failure_share
         chance = share * rate / rate.sum() + (1 - share) / len(rate)
         bins = torch.multinomial(
