@@ -25,11 +25,17 @@ def category_names(text: str) -> tuple[str, ...] | None:
 def load_clips(folders: tuple[Path, ...], split: str, categories: str) -> list[Clip]:
     """Clips of all ``folders``; recordings are retargeted and cached on the way."""
     from openclone.motion import library
+    from openclone.motion.batch import available_workers
 
     clips: list[Clip] = []
     for folder in folders:
         clips += library.load_clips(
-            folder, split, category_names(categories), library.default_cache(), print
+            folder,
+            split,
+            category_names(categories),
+            library.default_cache(),
+            print,
+            available_workers(),
         )
     return clips
 

@@ -201,6 +201,9 @@ def work(job: Job) -> Outcome:
             save_clip(clip, job.result.with_suffix(".npz"))
     except InputError as error:
         return Outcome(job, None, str(error))
+    except (ArithmeticError, ValueError) as error:
+        # One odd recording must not end the build of a thousand.
+        return Outcome(job, None, f"{job.path}: cannot be retargeted ({error})")
     _remember(job, quality)
     return Outcome(job, quality)
 

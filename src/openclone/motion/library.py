@@ -15,13 +15,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 
 from openclone.errors import InputError
-from openclone.motion.batch import (
-    Job,
-    Outcome,
-    available_workers,
-    digest_of,
-    run_jobs,
-)
+from openclone.motion.batch import Job, Outcome, digest_of, run_jobs
 from openclone.motion.clip import CATEGORIES, Clip, ClipInfo, load_clip
 from openclone.motion.quality import Gate, faults
 from openclone.motion.readers import SUFFIXES, source_files
@@ -173,10 +167,13 @@ def job_of(entry: Entry, cache: Path) -> Job:
 
 def is_clip(path: Path) -> bool:
     """Whether the file is a clip of the G1 rather than a recording of a human."""
-    if path.suffix != ".npz" or not zipfile.is_zipfile(path):
+    if path.suffix != ".npz":
         return False
-    with zipfile.ZipFile(path) as archive:
-        return {"metadata.npy", "joint_angles.npy"} <= set(archive.namelist())
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return {"metadata.npy", "joint_angles.npy"} <= set(archive.namelist())
+    except (OSError, zipfile.BadZipFile):
+        return False
 
 
 def _load_entries(
@@ -243,7 +240,7 @@ def load_clips(
     categories: tuple[str, ...] | None,
     cache: Path,
     report: Callable[[str], None],
-    workers: int | None = None,
+    workers: int = 1,
 ) -> list[Clip]:
     """Load the motions of one split as clips of the G1.
 
@@ -255,7 +252,7 @@ def load_clips(
         categories: only these; None for all.
         cache: folder that keeps the retargeted clips.
         report: receives a line per motion that is new or left out.
-        workers: processes that retarget; None for one per core.
+        workers: processes that retarget; see `batch.run_jobs` before asking for more.
 
     Raises:
         InputError: a file is missing or malformed, or the split or a category unknown.
@@ -273,4 +270,4 @@ def load_clips(
     if not (root / MANIFEST).is_file():
         return _load_folder(root, split, categories)
     chosen = _choose(read_manifest(root), split, categories, str(root / MANIFEST))
-    return _load_entries(chosen, cache, report, workers or available_workers())
+    return _load_entries(chosen, cache, report, workers)

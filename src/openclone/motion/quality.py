@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
+from openclone.errors import InputError
 from openclone.motion.contacts import runs
 from openclone.robot import g1
 from openclone.robot.model import SOLE_CORNERS, build_model
@@ -190,8 +191,9 @@ class _Body:
 class QualityMeter:
     """Measures clips; build once, use for many."""
 
-    def __init__(self) -> None:
-        self._model = build_model(floor=True, self_collision=True)
+    def __init__(self, model: mujoco.MjModel | None = None) -> None:
+        """Use ``model``, which needs the floor and self-collisions, or build one."""
+        self._model = model or build_model(floor=True, self_collision=True)
         self._data = mujoco.MjData(self._model)
         self._floor = self._model.geom("floor").id
 
@@ -229,13 +231,20 @@ class QualityMeter:
     def measure(
         self, qpos: np.ndarray, fps: float, targets: Targets | None = None
     ) -> ClipQuality:
-        """Quality of ``qpos (T, 36)``, T at least 3.
+        """Quality of ``qpos (T, 36)``.
 
         Args:
             qpos: the motion.
             fps: its rate.
             targets: what it was to follow, in its world; None if that is not known.
+
+        Raises:
+            InputError: fewer than three frames.
         """
+        if len(qpos) < 3:
+            raise InputError(
+                f"{len(qpos)} frames are no motion", remedy="give at least 3 frames"
+            )
         body = self._observe(qpos)
         speed = np.abs(np.diff(qpos[:, 7:], axis=0)) * fps
         near = (qpos[:, 7:] < g1.JOINT_LOWER + _NEAR_LIMIT) | (

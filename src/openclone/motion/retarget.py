@@ -106,7 +106,7 @@ class Solver:
     def __init__(self, config: RetargetConfig | None = None) -> None:
         self.config = config or RetargetConfig()
         self.model = build_model(floor=True, self_collision=True)
-        self.meter = QualityMeter()
+        self.meter = QualityMeter(self.model)
         self._configuration = mink.Configuration(self.model)
         self._tasks = {
             link: mink.FrameTask(link, "body", *costs, lm_damping=0.01)
