@@ -12,6 +12,7 @@ import sys
 from collections.abc import Callable
 
 from openclone.cli.curation import motions_build, motions_inspect
+from openclone.cli.editing import motions_augment, motions_edit
 from openclone.cli.facts import policy_info, robot_joints, version
 from openclone.cli.learning import train_plan, train_student, train_teacher
 from openclone.cli.measuring import (
@@ -41,6 +42,8 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "train plan": train_plan,
     "motions synthesize": motions_synthesize,
     "motions retarget": motions_retarget,
+    "motions edit": motions_edit,
+    "motions augment": motions_augment,
     "motions build": motions_build,
     "motions inspect": motions_inspect,
     "motions export": motions_export,

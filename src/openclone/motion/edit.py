@@ -35,6 +35,23 @@ def mirror(clip: Clip) -> Clip:
     )
 
 
+def pad_start(clip: Clip, seconds: float, max_speed: float = 0.25) -> Clip:
+    """Hold the first frame for ``seconds`` before the clip; else like `pad_still`."""
+    turned = Clip(
+        clip.info, clip.root_position[::-1], clip.root_quat[::-1],
+        clip.joint_angles[::-1],
+    )  # fmt: skip
+    padded = pad_still(turned, seconds, max_speed)
+    if padded is turned:
+        return clip
+    return Clip(
+        clip.info,
+        padded.root_position[::-1].copy(),
+        padded.root_quat[::-1].copy(),
+        padded.joint_angles[::-1].copy(),
+    )
+
+
 def pad_still(clip: Clip, seconds: float, max_speed: float = 0.25) -> Clip:
     """Hold the last frame for ``seconds`` if the clip ends (nearly) at rest.
 
