@@ -8,7 +8,9 @@ import box_room
 import numpy as np
 
 from openclone.odometry import manifold as m
+from openclone.odometry.estimator import EstimatorConfig
 from openclone.odometry.fast_lio import FastLio, FastLioConfig
+from openclone.odometry.filter import ImuNoise
 from openclone.odometry.state import OdometryState
 from openclone.spatial import rotations
 
@@ -91,6 +93,18 @@ def run(
             errors.append(m.minus(truth, flat_state(state))[:17])
             covariances.append(state.covariance[:17, :17])
     return Run(np.array(errors), np.array(covariances))
+
+
+def told_noise() -> FastLioConfig:
+    """The default, but told the simulated IMU's noise densities."""
+    sensors = box_room.Sensors()
+    root_hz = np.sqrt(sensors.imu_hz)
+    noise = ImuNoise(
+        gyro=sensors.gyro_sigma / root_hz,
+        accel=sensors.accel_sigma / root_hz,
+        roughness=0.0,
+    )
+    return FastLioConfig(estimator=EstimatorConfig(imu=noise))
 
 
 def nees(runs: list[Run]) -> dict[str, float]:

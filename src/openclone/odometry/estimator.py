@@ -160,7 +160,7 @@ def tilt_evidence(
 
 
 class Estimator:
-    """State, covariance and map at the end of the newest scan used."""
+    """State, covariance and map at the end of the newest scan."""
 
     def __init__(
         self,
@@ -179,7 +179,7 @@ class Estimator:
         self._leftover = np.zeros(3)
 
     def advance(self, scan: Scan, interval: Interval) -> ScanReport:
-        """Take in a scan; the state moves to its end unless it could not be used."""
+        """Take in a scan; the state moves to its end, by the IMU alone if need be."""
         predicted, prior, path = propagate(
             self.state,
             self.covariance,
@@ -191,6 +191,7 @@ class Estimator:
         lidar = predicted[m.ROT_LIDAR.start :].copy()
         thinned = prepare(scan, interval.start_ns, path, lidar, self.config.scan)
         if thinned.returns < self.config.update.min_returns:
+            self._commit(scan.end_ns, predicted, prior)
             return ScanReport(Verdict.BLIND, thinned.returns, rejected=thinned.rejected)
         if len(self.map) == 0:
             self._commit(scan.end_ns, predicted, prior)
@@ -203,6 +204,7 @@ class Estimator:
         )
         report = self._judge(predicted, prior, state, last, thinned)
         if report.verdict is Verdict.UNMATCHED:
+            self._commit(scan.end_ns, predicted, prior)
             return report
         report = self._compare_turns(report, predicted, first, interval)
         self._leftover = lidar_turn(last)

@@ -32,7 +32,13 @@ from openclone.odometry.estimator import (
 from openclone.odometry.filter import coast
 from openclone.odometry.health import HealthConfig, LioHealth
 from openclone.odometry.history import PoseHistory
-from openclone.odometry.imu import ClockJump, ImuBuffer, ImuConfig, check_stamp
+from openclone.odometry.imu import (
+    ClockJump,
+    ImuBuffer,
+    ImuConfig,
+    check_stamp,
+    check_vector,
+)
 from openclone.odometry.initialization import StartConfig, start, unrest
 from openclone.odometry.scan import Scan, check_scan
 from openclone.odometry.state import OdometryState
@@ -106,6 +112,7 @@ class FastLio:
         """Start anew: forget map, poses and samples."""
         with self._scan_lock, self._lock:
             self._clear()
+            self._map.clear()
             self._watch = Watch(self.config.health)
 
     def _clear(self) -> None:
@@ -149,8 +156,8 @@ class FastLio:
             up: (3,), the world's up as a vector in the LiDAR's IMU frame.
         """
         stamp = check_stamp(stamp_ns, "add_tilt")
-        vector = np.asarray(up, dtype=np.float64)
-        if vector.shape != (3,) or not 0.5 < float(np.linalg.norm(vector)) < 2.0:
+        vector = check_vector(up, 2.0, "up", "add_tilt")
+        if float(np.linalg.norm(vector)) < 0.5:
             raise InputError(
                 f"up is {up}", where="add_tilt", remedy="pass a unit vector"
             )
@@ -166,8 +173,8 @@ class FastLio:
             stamps_ns: (N,), whole nanoseconds, in any order within the scan.
 
         Returns:
-            The state at the scan's newest point; if the scan could not be used, at
-            the end of the newest scan that could.
+            The state at the scan's newest point; by the IMU alone if the scan could
+            not be used.
 
         Raises:
             InputError: wrong shape, unit or order, or no IMU samples up to the scan.

@@ -9,6 +9,9 @@ import numpy as np
 from openclone.odometry import manifold as m
 from openclone.odometry.imu import STANDARD_GRAVITY
 
+SWAY_SHARE = 0.2
+"""Error of a mean over the still period as a share of the standard deviation."""
+
 
 @dataclass(frozen=True)
 class StartConfig:
@@ -104,9 +107,9 @@ def start(
     deviations = np.zeros(m.ERROR_SIZE)
     deviations[m.E_ROT] = deviations[m.E_POS] = 1e-4
     deviations[m.E_VEL] = config.velocity
-    # A swaying sensor's mean rate is not only bias.
-    sway = gyro.std(axis=0) / np.sqrt(len(gyro))
-    deviations[m.E_GYRO_BIAS] = config.gyro_bias + 3.0 * sway
+    # The mean rate of a swaying sensor is not only bias: sway is slow, so its mean
+    # does not shrink with the number of samples.
+    deviations[m.E_GYRO_BIAS] = config.gyro_bias + SWAY_SHARE * gyro.std(axis=0)
     deviations[m.E_ACCEL_BIAS] = config.accel_bias
     deviations[m.E_GRAVITY] = 0.2 if up is None else max(up_sigma, 1e-4)
     if estimate_extrinsic:
@@ -118,7 +121,7 @@ def start(
     jacobian[:, m.E_ACCEL_BIAS] = np.eye(3)
     gravity = state[m.GRAVITY]
     jacobian[:, m.E_GRAVITY] = rot.T @ m.skew(gravity) @ m.sphere_basis(gravity)
-    noise = (0.005 + 3.0 * accel.std(axis=0) / np.sqrt(len(accel))) ** 2
+    noise = (0.005 + SWAY_SHARE * accel.std(axis=0)) ** 2
     innovation = jacobian @ covariance @ jacobian.T + np.diag(noise)
     gain = covariance @ jacobian.T @ np.linalg.inv(innovation)
     state = m.plus(state, gain @ (mean + rot.T @ gravity))

@@ -48,7 +48,7 @@ class MatchConfig:
     gate: float = 3.0
     slack: float = 0.005
     max_sigma: float = 0.06
-    independence: float = 0.03
+    independence: float = 0.025
 
     def as_array(self) -> np.ndarray:
         """The numbers in the order of the attributes, for compiled code."""
