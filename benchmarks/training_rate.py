@@ -1,10 +1,15 @@
-"""Control steps per second of the tracking task, beside its physics and mjlab.
+"""Control steps per second of training on the CPU, beside its physics and mjlab.
 
-Three rates on the same machine in one run, as ratios:
+Four rates on the same machine in one run, as ratios:
 
 1. raw ``mujoco.rollout`` on the training model, all cores: what the physics allows;
 2. the tracking task (rewards, resets, teacher observation) on top of it;
-3. mjlab's G1 velocity task in its CPU mode (MuJoCo Warp on the CPU device).
+3. PPO end to end on top of that: the ``fast`` preset's collection and updates;
+4. mjlab's G1 velocity task in its CPU mode (MuJoCo Warp on the CPU device).
+
+The first three take turns in short windows, so that a machine that is busy with other
+things slows all of them alike. Ratios are given twice: of wall time, and of CPU time
+summed over threads, which other processes disturb less but which hides waiting.
 
 Run it with ``make bench`` on an idle machine.
 """
@@ -17,64 +22,133 @@ import io
 import json
 import os
 import platform
+import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import torch
+from mujoco import rollout
 
 from openclone.motion.sources.synthetic import default_set
-from openclone.robot.model import SUBSTEPS, SensorLayout, build_model
-from openclone.training.physics import ThreadedPhysics
-from openclone.training.reference import build_reference
-from openclone.training.task import TaskConfig, TrackingTask
+from openclone.robot.model import SUBSTEPS
+from openclone.training.ppo import learn
+from openclone.training.presets import TEACHERS
+from openclone.training.progress import Budget, Progress
+from openclone.training.teacher import TeacherEnvironment, TeacherTrainer
+from openclone.training.terrain import build_training_model
+
+Seconds = tuple[float, float]
+"""Wall time and CPU time of one control step of one robot."""
 
 
-def steps_per_second(step: Callable[[], object], robots: int, seconds: float) -> float:
-    """Median over five windows of ``robots`` control steps per second."""
-    step()
-    rates = []
-    for _ in range(5):
-        count, start = 0, time.perf_counter()
-        while time.perf_counter() - start < seconds / 5:
-            step()
-            count += 1
-        rates.append(count * robots / (time.perf_counter() - start))
-    return float(np.median(rates))
+def timed(work: Callable[[], int]) -> Seconds:
+    """Seconds per control step of ``work``, which returns how many it made."""
+    wall, cpu = time.perf_counter(), time.process_time()
+    count = work()
+    return (
+        (time.perf_counter() - wall) / count,
+        (time.process_time() - cpu) / count,
+    )
 
 
-def openclone_rates(robots: int, seconds: float) -> tuple[float, float]:
-    """Rates of raw rollout and of the task, both in the states the task visits."""
-    model = build_model()
-    clips = default_set(0, 1.0)
-    reference = build_reference(clips, model)
-    physics = ThreadedPhysics(model, robots)
-    config = TaskConfig(num_envs=robots)
-    task = TrackingTask(reference, physics, SensorLayout.of(model), config, 0)
+def raw_rollout(trainer: TeacherTrainer, threads: int, steps: int) -> Callable[[], int]:
+    """Work that steps the robots from where they are now, with held targets."""
+    task, model = trainer.task, build_training_model()
+    qpos, qvel, _ = task.physics.read()
+    count = task.num_envs
+    size = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS)
+    state = np.zeros((count, size))
+    state[:, 1 : 1 + model.nq] = qpos
+    state[:, 1 + model.nq : 1 + model.nq + model.nv] = qvel
+    targets = task.residual_to_target(torch.zeros(count, 29)).double().numpy()
+    ctrl = np.repeat(targets[:, None], SUBSTEPS, axis=1)
+    states = np.empty((count, SUBSTEPS, size))
+    sensors = np.empty((count, SUBSTEPS, model.nsensordata))
+    datas = [mujoco.MjData(model) for _ in range(threads)]
+    pool = rollout.Rollout(nthread=threads)
+    models = [model] * count
+
+    def work() -> int:
+        for _ in range(steps):
+            pool.rollout(
+                models,
+                datas,
+                state,
+                ctrl,
+                skip_checks=True,
+                nstep=SUBSTEPS,
+                state=states,
+                sensordata=sensors,
+            )
+        return steps * count
+
+    return work
+
+
+def task_steps(trainer: TeacherTrainer, steps: int) -> Callable[[], int]:
+    """Work that steps the task with noisy actions and observes it."""
+    task = trainer.task
     noise = torch.Generator().manual_seed(0)
 
-    def task_step() -> None:
-        action = 0.3 * torch.randn(robots, 29, generator=noise)
-        task.step(task.residual_to_target(action))
-        task.teacher_observation()
+    def work() -> int:
+        with torch.inference_mode():
+            for _ in range(steps):
+                action = 0.3 * torch.randn(task.num_envs, 29, generator=noise)
+                task.step(task.residual_to_target(action))
+                task.teacher_observation()
+        return steps * task.num_envs
 
-    task_rate = steps_per_second(task_step, robots, seconds)
-    # The same states and controls, held: no task, no resets.
-    state = (physics.qpos.copy(), physics.qvel.copy())
-    targets = task.residual_to_target(torch.zeros(robots, 29)).numpy()
-    ctrl = np.repeat(targets.astype(np.float64)[:, None], SUBSTEPS, axis=1)
-
-    def raw_step() -> None:
-        physics.qpos[:], physics.qvel[:] = state
-        physics.step(ctrl)
-
-    return steps_per_second(raw_step, robots, seconds), task_rate
+    return work
 
 
-def mjlab_rate(robots: int, seconds: float) -> float:
-    """Control steps per second of mjlab's flat velocity task on the CPU."""
+def ppo_iteration(trainer: TeacherTrainer, folder: Path) -> Callable[[], int]:
+    """Work that is one iteration of PPO: collection and updates."""
+    config = trainer.preset.ppo
+    env = TeacherEnvironment(trainer.task)
+
+    def work() -> int:
+        progress = Progress(folder, Budget(float("inf"), 1))
+        learn(env, trainer.ppo, config, progress, lambda: None)
+        progress.close()
+        return config.steps * env.num_envs
+
+    return work
+
+
+def openclone_seconds(
+    robots: int | None, rounds: int, steps: int
+) -> tuple[dict[str, Seconds], int]:
+    """Median seconds per step of the three, and the number of robots."""
+    threads = os.cpu_count() or 1
+    preset = TEACHERS["fast"]
+    if robots is not None:
+        preset = replace(preset, task=replace(preset.task, num_envs=robots))
+    trainer = TeacherTrainer(default_set(0, 1.0), preset, 0, threads)
+    with tempfile.TemporaryDirectory() as folder:
+        task = task_steps(trainer, steps)
+        task()
+        works = {
+            "raw_rollout": raw_rollout(trainer, threads, steps),
+            "task": task,
+            "ppo": ppo_iteration(trainer, Path(folder)),
+        }
+        seconds: dict[str, list[Seconds]] = {name: [] for name in works}
+        for work in works.values():
+            work()
+        for _ in range(rounds):
+            for name, work in works.items():
+                seconds[name].append(timed(work))
+    medians = {name: np.median(rows, axis=0) for name, rows in seconds.items()}
+    pairs = {name: (float(row[0]), float(row[1])) for name, row in medians.items()}
+    return pairs, trainer.task.num_envs
+
+
+def mjlab_seconds(robots: int, rounds: int) -> Seconds:
+    """Median seconds per control step of mjlab's flat velocity task on the CPU."""
     # mjlab and Warp describe themselves at length; the first run also compiles.
     with contextlib.redirect_stdout(io.StringIO()):
         import mjlab.tasks.velocity.config.g1  # noqa: F401  (registers the task)
@@ -86,33 +160,54 @@ def mjlab_rate(robots: int, seconds: float) -> float:
         env = ManagerBasedRlEnv(config, device="cpu")
         env.reset()
         action = torch.zeros(robots, env.action_manager.total_action_dim)
-        rate = steps_per_second(lambda: env.step(action), robots, seconds)
+
+        def work() -> int:
+            for _ in range(5):
+                env.step(action)
+            return 5 * robots
+
+        work()
+        wall, cpu = np.median([timed(work) for _ in range(rounds)], axis=0)
         env.close()
-    return rate
+    return float(wall), float(cpu)
+
+
+def ratios(seconds: dict[str, Seconds]) -> dict[str, float]:
+    """Rates and their ratios, by name."""
+    raw, task, ppo = (seconds[name] for name in ("raw_rollout", "task", "ppo"))
+    figures = {f"{name}_steps_s": round(1 / s[0], 1) for name, s in seconds.items()}
+    for index, clock in enumerate(("wall", "cpu")):
+        figures[f"task_share_of_raw_{clock}"] = round(raw[index] / task[index], 3)
+        figures[f"ppo_share_of_raw_{clock}"] = round(raw[index] / ppo[index], 3)
+        if "mjlab_cpu" in seconds:
+            other = seconds["mjlab_cpu"][index]
+            figures[f"task_over_mjlab_{clock}"] = round(other / task[index], 1)
+            figures[f"ppo_over_mjlab_{clock}"] = round(other / ppo[index], 1)
+    return figures
 
 
 def main() -> None:
     """Measure, print, and write JSON if asked."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--robots", type=int, default=256)
+    parser.add_argument("--robots", type=int, help="default: the fast preset's")
     parser.add_argument("--mjlab-robots", type=int, default=64)
-    parser.add_argument("--seconds", type=float, default=15.0)
+    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--steps", type=int, default=24, help="per window")
     parser.add_argument("--without-mjlab", action="store_true")
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
-    raw, task = openclone_rates(arguments.robots, arguments.seconds)
+    seconds, robots = openclone_seconds(
+        arguments.robots, arguments.rounds, arguments.steps
+    )
+    if not arguments.without_mjlab:
+        seconds["mjlab_cpu"] = mjlab_seconds(arguments.mjlab_robots, arguments.rounds)
     result = {
         "machine": f"{platform.processor() or platform.machine()}, "
         f"{os.cpu_count()} cores",
         "versions": f"mujoco {mujoco.__version__}, torch {torch.__version__}",
-        "raw_rollout_steps_s": round(raw),
-        "task_steps_s": round(task),
-        "task_share_of_raw": round(task / raw, 3),
+        "robots": robots,
+        **ratios(seconds),
     }
-    if not arguments.without_mjlab:
-        other = mjlab_rate(arguments.mjlab_robots, arguments.seconds)
-        result["mjlab_cpu_steps_s"] = round(other, 1)
-        result["task_over_mjlab_cpu"] = round(task / other, 1)
     for name, value in result.items():
         print(f"{name:24} {value}")
     if arguments.json:
