@@ -155,12 +155,14 @@ def read_samples(
     Raises:
         InputError: while iterating, at the first place that cannot be used.
     """
-    chosen = _choose(read_messages(path), topics or Topics())
+    chosen = _choose(read_messages(path), topics or Topics(), str(path))
     samples = (decode(raw) for raw in chosen)
     return scans_after_imu(in_si_units(samples, unit, str(path), say))
 
 
-def _choose(messages: Iterator[RawMessage], topics: Topics) -> Iterator[RawMessage]:
+def _choose(
+    messages: Iterator[RawMessage], topics: Topics, where: str
+) -> Iterator[RawMessage]:
     """Only messages of the wanted topics; at the end, that both sensors were there."""
     wanted = {"imu": topics.imu, "lidar": topics.lidar}
     seen: set[str] = set()
@@ -189,6 +191,7 @@ def _choose(messages: Iterator[RawMessage], topics: Topics) -> Iterator[RawMessa
             name = f" on {wanted[role]}" if wanted[role] else ""
             raise InputError(
                 f"the file has no {role} data{name}",
+                where=where,
                 remedy="odometry needs sensor_msgs/msg/Imu, and PointCloud2 or "
                 "Livox CustomMsg",
             )
