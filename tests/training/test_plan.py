@@ -65,7 +65,7 @@ def test_command_prints_and_writes_the_plan(tmp_path, capsys):
     figures = json.loads(path.read_text())
     teacher, dagger, tuning = figures["phases"]
     assert teacher["steps"] == pytest.approx(3 * 4 * 16)
-    assert dagger["iterations"] == tuning["iterations"] == pytest.approx(3)
+    assert [p["iterations"] for p in (dagger, tuning)] == pytest.approx([3, 3])
     for phase in figures["phases"]:
         assert phase["steps_per_s"] > 0
         expected = phase["steps"] / phase["steps_per_s"] / 60

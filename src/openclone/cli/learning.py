@@ -134,22 +134,18 @@ def train_student(
         threads: CPU threads; all cores by default.
     """
     wait_passively()
-    import warnings
-
     from openclone.training import student
     from openclone.training.presets import student_preset
 
-    # torch's ONNX exporter warns about itself at every checkpoint.
-    warnings.filterwarnings("ignore", message=".*treespec, LeafSpec")
+    _hush_exporter()
     positive("--minutes", minutes)
     settings = student_preset(preset)
     settings = replace(settings, data=_narrowed(settings.data, categories))
     clips = _training_clips(motions)
     if teacher is None:
-        own = bool(settings.teacher)
         teacher = _own_teacher(settings, clips, out, resume, seed, threads)
         # A run that was interrupted in its teacher has no student yet.
-        resume = resume and (not own or (out / student.CHECKPOINT).is_file())
+        resume &= not settings.teacher or (out / student.CHECKPOINT).is_file()
     path = student.train_student(
         clips,
         teacher,
@@ -163,6 +159,13 @@ def train_student(
         threads=threads,
     )
     print(f"policy bundle: {path}")
+
+
+def _hush_exporter() -> None:
+    """Keep torch's ONNX exporter from warning about itself at every checkpoint."""
+    import warnings
+
+    warnings.filterwarnings("ignore", message=".*treespec, LeafSpec")
 
 
 def _own_teacher(
