@@ -186,7 +186,8 @@ def test_fast_lio_closes_the_loop(bundle: Bundle, walking: OperatorRecording) ->
         return log.base_position, log.qpos[:, :3], result.odometry_cost.scans
 
     believed, true, scans = run()
-    assert scans >= 20
+    # Frames that ended at 1.5 s, where the robot is let go, to 2.2 s.
+    assert scans >= 7
     assert np.linalg.norm(true[-1] - true[0]) > 0.05
     error = np.linalg.norm(believed - true, axis=1)
     assert error[0] < 1e-6

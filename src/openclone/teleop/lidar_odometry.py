@@ -166,6 +166,7 @@ class LidarOdometry:
             Pose(*self._estimator.pose_at(now_ns)) @ self._imu_from_base
         )
         self._world_from_odometry = base @ odometry_from_base.inverse()
+        self._tally = _Tally()
         if self._realtime:
             self._thread = threading.Thread(target=self._labour, daemon=True)
             self._thread.start()
@@ -218,7 +219,7 @@ class LidarOdometry:
             self._thread = None
 
     def cost(self) -> OdometryCost:
-        """What has been done so far, the start included."""
+        """What has been done since `begin`."""
         tally = self._tally
         scan_ms = 1e-6 * np.array(tally.scan_ns or [0])
         return OdometryCost(
