@@ -147,7 +147,7 @@ def test_body_flips_round(meter: QualityMeter, still: np.ndarray) -> None:
     still[60:, 3:7] = rotations.from_yaw(np.array(1.0))
     quality = meter.measure(still, FPS)
     assert quality.turn_rad_s == pytest.approx(50)
-    assert "flips round: the pelvis turns at 50 rad/s" in reasons(quality)
+    assert "flips round: the pelvis turns at 50.0 rad/s" in reasons(quality)
 
 
 def test_off_its_targets(meter: QualityMeter, still: np.ndarray) -> None:

@@ -82,8 +82,8 @@ class ClipQuality:
 
     @staticmethod
     def columns() -> tuple[str, ...]:
-        """Names of the figures, in the order of `cells`."""
-        return tuple(item.name for item in fields(ClipQuality))
+        """Names of the figures but the duration, in the order of `cells`."""
+        return tuple(item.name for item in fields(ClipQuality))[1:]
 
     def cells(self) -> tuple[str, ...]:
         """The figures as text, for a table; empty where there is none."""
@@ -134,7 +134,7 @@ class Gate:
     float_s: float = 0.3
     air_s: float = 1.0
     tilt_deg: float = 105.0
-    turn_rad_s: float = 14.0
+    turn_rad_s: float = 12.0
     min_seconds: float = 0.5
 
 
@@ -150,7 +150,7 @@ _REASONS = {
     "float_s": "the robot floats for {:.2f} s",
     "air_s": "the robot is off the ground for {:.2f} s",
     "tilt_deg": "the body flips over: the pelvis leans by {:.0f} deg",
-    "turn_rad_s": "the body flips round: the pelvis turns at {:.0f} rad/s",
+    "turn_rad_s": "the body flips round: the pelvis turns at {:.1f} rad/s",
 }
 
 
