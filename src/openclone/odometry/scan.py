@@ -118,6 +118,32 @@ def check_scan(points: Any, stamps_ns: Any, config: ScanConfig) -> Scan:
 
 
 @njit(cache=True, nogil=True)
+def knot_motions(
+    path: np.ndarray, lidar: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Each knot's motion, expressed in the LiDAR frame at the end of the path.
+
+    Returns:
+        Rotation ``(k, 3, 3)``, translation, velocity and half acceleration ``(k, 3)``.
+    """
+    knots = len(path)
+    end_rot = path[knots - 1, 1:10].reshape(3, 3)
+    end_pos = path[knots - 1, 10:13]
+    rot_il, pos_il = lidar[0:9].reshape(3, 3), lidar[9:12]
+    back = rot_il.T @ end_rot.T
+    turn = np.empty((knots, 3, 3))
+    shift = np.empty((knots, 3))
+    speed = np.empty((knots, 3))
+    bend = np.empty((knots, 3))
+    for k in range(knots):
+        turn[k] = back @ path[k, 1:10].reshape(3, 3)
+        shift[k] = back @ (path[k, 10:13] - end_pos) - rot_il.T @ pos_il
+        speed[k] = back @ path[k, 13:16]
+        bend[k] = back @ (0.5 * path[k, 19:22])
+    return turn, shift, speed, bend
+
+
+@njit(cache=True, nogil=True)
 def undistort(
     points: np.ndarray,
     times: np.ndarray,
@@ -139,20 +165,8 @@ def undistort(
         with NaN or infinite coordinates.
     """
     knots = len(path)
-    end_rot = path[knots - 1, 1:10].reshape(3, 3)
-    end_pos = path[knots - 1, 10:13]
     rot_il, pos_il = lidar[0:9].reshape(3, 3), lidar[9:12]
-    back = rot_il.T @ end_rot.T
-    # Each knot's motion, expressed in the LiDAR frame at the end.
-    turn = np.empty((knots, 3, 3))
-    shift = np.empty((knots, 3))
-    speed = np.empty((knots, 3))
-    bend = np.empty((knots, 3))
-    for k in range(knots):
-        turn[k] = back @ path[k, 1:10].reshape(3, 3)
-        shift[k] = back @ (path[k, 10:13] - end_pos) - rot_il.T @ pos_il
-        speed[k] = back @ path[k, 13:16]
-        bend[k] = back @ (0.5 * path[k, 19:22])
+    turn, shift, speed, bend = knot_motions(path, lidar)
     out = np.empty((len(points), 3))
     kept, rejected, k = 0, 0, 0
     near2, far2 = limits[0] ** 2, limits[1] ** 2
