@@ -123,6 +123,9 @@ def test_runs_and_smoothing() -> None:
     assert runs(np.zeros(3, dtype=bool)) == []
     ramp = np.arange(50.0)[:, None]
     assert smooth(ramp, 2.0)[10:40] == pytest.approx(ramp[10:40])
+    # Held ends slow a ramp down; ends that go on leave it as it is.
+    assert np.diff(smooth(ramp, 2.0)[:2, 0])[0] < 0.6
+    assert smooth(ramp, 2.0, going_on=True) == pytest.approx(ramp)
     impulse = np.zeros(101)
     impulse[50] = 1.0
     spread = smooth(impulse, 3.0)

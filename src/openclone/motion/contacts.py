@@ -40,22 +40,33 @@ class ContactConfig:
     min_stance_s: float = 0.08
 
 
-def smooth(values: np.ndarray, sigma: float) -> np.ndarray:
-    """Gaussian filter over the first axis; ``sigma`` in frames, ends held."""
+def smooth(values: np.ndarray, sigma: float, *, going_on: bool = False) -> np.ndarray:
+    """Gaussian filter over the first axis; ``sigma`` in frames.
+
+    Args:
+        values: (T, ...).
+        sigma: width, frames.
+        going_on: continue the ends at their speed; otherwise they are held, which
+            brings a walk that begins in mid-stride almost to a stop.
+    """
     if sigma < 0.1:
         return values
     reach = max(int(np.ceil(3 * sigma)), 1)
     kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
     kernel /= kernel.sum()
     flat = values.reshape(len(values), -1)
-    padded = np.pad(flat, ((reach, reach), (0, 0)), mode="edge")
+    around = ((reach, reach), (0, 0))
+    if going_on:
+        padded = np.pad(flat, around, mode="reflect", reflect_type="odd")
+    else:
+        padded = np.pad(flat, around, mode="edge")
     columns = [np.convolve(padded[:, k], kernel, "valid") for k in range(flat.shape[1])]
     return np.stack(columns, 1).reshape(values.shape)
 
 
 def velocity(positions: np.ndarray, fps: float) -> np.ndarray:
     """Central differences over the first axis, metres per second."""
-    return np.gradient(smooth(positions, 0.02 * fps), 1.0 / fps, axis=0)
+    return np.gradient(smooth(positions, 0.02 * fps, going_on=True), 1.0 / fps, axis=0)
 
 
 def ground_level(motion: HumanMotion, joint: str) -> float:

@@ -89,12 +89,14 @@ class Targets:
 
 def _smooth_quat(quat: np.ndarray, sigma: float) -> np.ndarray:
     """Gaussian over sign-continuous quaternions, good for small widths."""
-    return rotations.normalize(smooth(rotations.make_continuous(quat), sigma))
+    return rotations.normalize(
+        smooth(rotations.make_continuous(quat), sigma, going_on=True)
+    )
 
 
 def _direction(motion: HumanMotion, start: str, end: str, sigma: float) -> np.ndarray:
     """(T, 3) unit vector from one joint to another, smoothed."""
-    bone = smooth(motion.joint(end) - motion.joint(start), sigma)
+    bone = smooth(motion.joint(end) - motion.joint(start), sigma, going_on=True)
     return bone / np.maximum(np.linalg.norm(bone, axis=1, keepdims=True), 1e-9)
 
 
@@ -184,7 +186,7 @@ def _foot_targets(
     rest = np.median(pitch[stands]) if stands.any() else np.percentile(pitch, 60)
     pitch = np.clip(pitch - rest, *_PITCH_RANGE)
     pose = np.concatenate((position, yaw[:, None], pitch[:, None]), axis=1)
-    pose = _lock(smooth(pose, sigma), stands)
+    pose = _lock(smooth(pose, sigma, going_on=True), stands)
     tilt = rotations.from_axis_angle(np.array([0.0, 1, 0]), -pose[:, 4])
     quat = rotations.multiply(rotations.from_yaw(pose[:, 3]), tilt)
     corners = rotations.rotate(quat[:, None], SOLE_CORNERS[None])
@@ -202,7 +204,7 @@ def make_targets(motion: HumanMotion, config: RetargetConfig) -> Targets:
     contact = foot_contacts(motion)
     scale = (THIGH + SHANK) / motion.leg_length
     pelvis_quat, torso_quat = _attitudes(motion, contact, sigma)
-    hip = smooth(motion.hip_center, sigma) * scale
+    hip = smooth(motion.hip_center, sigma, going_on=True) * scale
     level = ground_level(motion, "ankle")
     hip[:, 2] = config.crouch * (hip[:, 2] - scale * level) + ANKLE_HEIGHT
     pelvis = hip - rotations.rotate(pelvis_quat, np.array([0.0, 0.0, HIP_HEIGHT]))
