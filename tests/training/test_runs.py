@@ -1,11 +1,14 @@
 """Whole training runs, seconds long."""
 
+import copy
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+from torch import nn
 
 from openclone.cli import learning
 from openclone.errors import InputError
@@ -13,8 +16,14 @@ from openclone.policy.bundle import load_bundle
 from openclone.policy.mlp import MlpConfig
 from openclone.training import student as student_module
 from openclone.training.checkpoint import load_checkpoint
+from openclone.training.distillation import Dagger
 from openclone.training.guard import TrainingStopped
-from openclone.training.presets import STUDENTS, TEACHERS, teacher_preset
+from openclone.training.presets import (
+    STUDENTS,
+    TEACHERS,
+    DistillationConfig,
+    teacher_preset,
+)
 from openclone.training.student import train_student
 from openclone.training.teacher import TeacherEnvironment, load_teacher, train_teacher
 
@@ -116,6 +125,37 @@ def test_start_takes_the_networks_but_a_fresh_budget(trained, make_clip, tmp_pat
     content = load_checkpoint(path)
     assert (content["iterations"], content["steps"]) == (3, 2 * STEPS)
     assert content["ppo"]["optimizer_state_dict"]["state"][0]["step"] == 6
+
+
+def test_the_average_of_the_weights_is_worked_out_step_by_step():
+    dagger = Dagger.__new__(Dagger)
+    network = nn.Linear(1, 1, bias=False)
+    nn.init.ones_(network.weight)
+    dagger.student = SimpleNamespace(mlp=network)
+    dagger.average = nn.Linear(1, 1, bias=False)
+    nn.init.zeros_(dagger.average.weight)
+    dagger.config = DistillationConfig(average=0.2)
+    dagger.averaged_steps = 0
+    # Old weights count 2/11 in the first step, then 0.2.
+    for expected in (9 / 11, 1 - 0.2 * 2 / 11, 1 - 0.04 * 2 / 11):
+        dagger._average()
+        assert dagger.average.weight.item() == pytest.approx(expected, abs=1e-6)
+
+
+def test_the_bundle_holds_the_average(trained, make_clip, tmp_path, monkeypatch):
+    exported = []
+    monkeypatch.setattr(
+        student_module,
+        "export_bundle",
+        lambda student, *_: exported.append(copy.deepcopy(student.mlp.state_dict())),
+    )
+    train_student(
+        [make_clip()], trained[1], STUDENT, tmp_path, tuning_minutes=0, threads=1
+    )
+    content = load_checkpoint(tmp_path / "student.pt")
+    newest = content["student"]["mlp.head.weight"]
+    assert torch.equal(exported[-1]["head.weight"], content["average"]["head.weight"])
+    assert not torch.equal(exported[-1]["head.weight"], newest)
 
 
 def test_student_goes_on_in_either_phase(trained, make_clip, tmp_path, no_export):

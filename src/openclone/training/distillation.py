@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections import deque
 from pathlib import Path
@@ -55,6 +56,8 @@ class Dagger:
         self.optimizer = torch.optim.Adam(
             student.mlp.parameters(), config.learning_rate
         )
+        self.average = copy.deepcopy(student.mlp).requires_grad_(False)
+        self.averaged_steps = 0
         self._buffer: deque[tuple[torch.Tensor, torch.Tensor]] = deque(
             maxlen=config.kept_rounds
         )
@@ -131,6 +134,7 @@ class Dagger:
                 self.student.mlp.parameters(), config.max_grad_norm
             )
             self.optimizer.step()
+            self._average()
             losses = {
                 "loss/imitation": imitation.item(),
                 "loss/balance": balance.item(),
@@ -138,6 +142,19 @@ class Dagger:
             progress.add(**losses, **router_usage(routing))
         self._guard.check(losses, progress.steps)
         progress.iterations += 1
+
+    @torch.no_grad()
+    def _average(self) -> None:
+        """Moving average of the weights: what is shipped forgets less than the newest.
+
+        The first steps weigh more, so that a new network is not averaged with noise.
+        """
+        self.averaged_steps += 1
+        n = self.averaged_steps
+        keep = min(self.config.average, (1.0 + n) / (10.0 + n))
+        newest = self.student.mlp.parameters()
+        for old, new in zip(self.average.parameters(), newest, strict=True):
+            old.lerp_(new, 1.0 - keep)
 
 
 def distill(dagger: Dagger, progress: Progress) -> None:

@@ -103,16 +103,19 @@ class DistillationConfig:
         teacher_share_rounds: rounds over which control passes from teacher to student.
         balance: weight of Eq. 1.
         max_grad_norm: gradient clipping (OmniH2O: 0.2).
+        average: share of the old weights in their moving average, per gradient step;
+            the average is what the bundle holds. 0: the newest weights.
     """
 
     steps: int = 20
-    kept_rounds: int = 8
+    kept_rounds: int = 20
     updates: int = 12
-    batch: int = 1024
+    batch: int = 1500
     learning_rate: float = 6e-4
     teacher_share_rounds: int = 60
     balance: float = 0.05
     max_grad_norm: float = 0.5
+    average: float = 0.9995
 
 
 _STUDENT_TASK = TaskConfig(

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import torch
 from tensordict import TensorDict
+from torch import nn
 
 from openclone.motion.clip import Clip, clip_hash
 from openclone.policy.bundle import g1_info
@@ -92,8 +93,13 @@ class StudentTrainer:
         preset = self.preset
         return StudentView(task, preset.history, preset.noise, rng, preset.faults)
 
-    def save(self, progress: Progress, extra: dict[str, object]) -> None:
-        """Write checkpoint and bundle."""
+    def save(
+        self,
+        progress: Progress,
+        extra: dict[str, object],
+        exported: nn.Module | None = None,
+    ) -> None:
+        """Write checkpoint and bundle; ``exported`` goes into the bundle instead."""
         self.trained = trained = progress.trained
         content = {
             "student": self.student.state_dict(),
@@ -106,7 +112,12 @@ class StudentTrainer:
         save_checkpoint(self.out / CHECKPOINT, content)
         note = f"{self.phase}, {trained.steps} steps, {trained.minutes:.0f} minutes"
         info = g1_info("student", self.data_hash, note, self.preset.history)
-        export_bundle(self.student, info, self.out / BUNDLE)
+        newest = self.student.mlp
+        try:
+            self.student.mlp = exported or newest
+            export_bundle(self.student, info, self.out / BUNDLE)
+        finally:
+            self.student.mlp = newest
         self.student.train()
 
     def resume(self, path: Path) -> dict[str, Any]:
@@ -183,14 +194,22 @@ def _dagger_phase(
         trainer.out,
     )
     if content:
+        newest = trainer.student.mlp.state_dict()
         dagger.optimizer.load_state_dict(content["optimizer"])
         dagger.rounds = int(content["rounds"])
+        dagger.average.load_state_dict(content.get("average", newest))
+        dagger.averaged_steps = int(content.get("averaged_steps", 0))
     budget = Budget(minutes, preset.iterations)
     progress = Progress(trainer.out, budget, trainer.trained)
 
     def save() -> None:
-        state = dagger.optimizer.state_dict()
-        trainer.save(progress, {"optimizer": state, "rounds": dagger.rounds})
+        state = {
+            "optimizer": dagger.optimizer.state_dict(),
+            "rounds": dagger.rounds,
+            "average": dagger.average.state_dict(),
+            "averaged_steps": dagger.averaged_steps,
+        }
+        trainer.save(progress, state, dagger.average)
 
     try:
         while not progress.finished:
