@@ -16,12 +16,16 @@ from openclone.teleop.calibration import RobotBody, calibrate
 
 
 @pytest.mark.parametrize(
-    "name", ["cmu/test_walking_1.bvh", "hdm05/HDM_dg_squat1Reps_025_120.amc"]
+    ("name", "metres"),
+    [("cmu/test_walking_1.bvh", 0.06), ("hdm05/HDM_dg_squat1Reps_025_120.amc", 0.12)],
 )
 def test_live_targets_look_like_the_retargeted_motion(
-    recordings: Path, name: str
+    recordings: Path, name: str, metres: float
 ) -> None:
-    """Calibration and retargeting lead from one human to the robot by two ways."""
+    """Calibration and retargeting lead from one human to the robot by two ways.
+
+    The person squats on the toes; the robot's ankles end the retargeted squat earlier.
+    """
     motion = start_at_origin(read_recording(recordings / name).resampled(FPS))
     clip, _ = retarget(motion, ClipInfo("clip", "transition", "", "", FPS))
     kinematics = Kinematics()
@@ -39,6 +43,6 @@ def test_live_targets_look_like_the_retargeted_motion(
     count = min(len(wanted), len(found.position))
     error = found.position[:count] - wanted[:count]
     error -= error[:, :1].mean(0) * [1, 1, 0]  # where the origin lies is arbitrary
-    assert np.linalg.norm(error, axis=-1).mean() < 0.06
+    assert np.linalg.norm(error, axis=-1).mean() < metres
     turn = rotations.angle_between(found.quat[:count, 1:], wanted_quat[:count, 1:])
     assert np.degrees(turn).mean() < 15.0

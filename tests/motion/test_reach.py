@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from openclone.motion.reach import (
+    hip_move,
     is_upright,
     pitched,
-    squat_lift,
     upright_offset,
     within_waist,
 )
@@ -82,7 +82,7 @@ def shank_lean(ahead: float, up: float) -> float:
 
 def test_a_squat_is_raised_until_the_ankle_allows_it() -> None:
     leg = np.array([[0.0, 0.55], [0.0, 0.2], [-0.1, 0.2], [0.1, 0.25]])
-    lift = squat_lift(leg, np.zeros(4), 0.3, 0.3, 0.8)
+    lift = 0.3 * hip_move(leg, np.zeros(4), 0.3, 0.3, 0.8, (0.0, 0.3))
     assert lift[0] == 0
     for (ahead, up), raised in zip(leg[1:], lift[1:], strict=True):
         before = shank_lean(ahead, up)
@@ -94,7 +94,16 @@ def test_a_squat_is_raised_until_the_ankle_allows_it() -> None:
 
 def test_a_raised_heel_allows_deeper_squats() -> None:
     leg = np.array([[0.0, 0.3]])
-    flat = squat_lift(leg, np.zeros(1), 0.3, 0.3, 0.8)
-    on_toes = squat_lift(leg, np.array([-0.4]), 0.3, 0.3, 0.8)
-    assert flat[0] > 0.05
+    flat = hip_move(leg, np.zeros(1), 0.3, 0.3, 0.8, (0.0, 0.3))
+    on_toes = hip_move(leg, np.array([-0.4]), 0.3, 0.3, 0.8, (0.0, 0.3))
+    assert 0.3 * flat[0] > 0.05
     assert on_toes[0] == 0
+
+
+def test_a_hip_that_goes_back_need_not_rise() -> None:
+    leg = np.array([[0.05, 0.3]])
+    back = 0.2 * hip_move(leg, np.zeros(1), 0.3, 0.3, 0.8, (-0.2, 0.0))
+    assert 0 < back[0] < 0.2
+    assert shank_lean(0.05 - back[0], 0.3) == pytest.approx(0.8, abs=0.01)
+    # Too far ahead: all of the way, and still not enough.
+    assert hip_move(leg + [[0.3, 0]], np.zeros(1), 0.3, 0.3, 0.8, (-0.2, 0))[0] == 1

@@ -91,30 +91,53 @@ def within_waist(pelvis: np.ndarray, torso: np.ndarray) -> np.ndarray:
     )
 
 
-def squat_lift(
-    leg: np.ndarray, sole_pitch: np.ndarray, thigh: float, shank: float, most: float
+def ankle_bend(
+    leg: np.ndarray, sole_pitch: np.ndarray, thigh: float, shank: float
 ) -> np.ndarray:
-    """Metres (T,) to raise the hip so that the ankle need not bend too far.
+    """Radians (T,) between shank and the sole's normal, knee ahead.
 
     Args:
         leg: (T, 2), metres, from the ankle to the hip: ahead in the foot's heading, up.
         sole_pitch: (T,), radians, toes up positive.
         thigh: metres.
         shank: metres.
-        most: radians, greatest angle between shank and the sole's normal.
     """
-    low, high = np.zeros(len(leg)), np.full(len(leg), 0.3)
+    reach = np.clip(np.hypot(leg[:, 0], leg[:, 1]), 1e-3, thigh + shank - 1e-6)
+    cosine = (shank**2 + reach**2 - thigh**2) / (2 * shank * reach)
+    knee = np.arccos(np.clip(cosine, -1.0, 1.0))
+    return np.arctan2(leg[:, 0], leg[:, 1]) + knee + sole_pitch
 
-    def bend(lift: np.ndarray) -> np.ndarray:
-        up = leg[:, 1] + lift
-        reach = np.clip(np.hypot(leg[:, 0], up), 1e-3, thigh + shank - 1e-6)
-        cosine = (shank**2 + reach**2 - thigh**2) / (2 * shank * reach)
-        knee = np.arccos(np.clip(cosine, -1.0, 1.0))
-        return np.arctan2(leg[:, 0], up) + knee + sole_pitch
+
+def hip_move(
+    leg: np.ndarray,
+    sole_pitch: np.ndarray,
+    thigh: float,
+    shank: float,
+    most: float,
+    farthest: tuple[float, float],
+) -> np.ndarray:
+    """How far to move the hip so that the ankle need not bend too far.
+
+    Args:
+        leg: (T, 2), metres, from the ankle to the hip: ahead in the foot's heading, up.
+        sole_pitch: (T,), radians, toes up positive.
+        thigh: metres.
+        shank: metres.
+        most: radians, greatest bend of the ankle.
+        farthest: metres, the largest move, ahead and up; the move is a share of it.
+
+    Returns:
+        The least share (T,), 0 to 1; 1 where even that is not enough.
+    """
+    low, high = np.zeros(len(leg)), np.ones(len(leg))
+
+    def fits(share: np.ndarray) -> np.ndarray:
+        moved = leg + share[:, None] * np.array(farthest)
+        return ankle_bend(moved, sole_pitch, thigh, shank) <= most
 
     for _ in range(12):
         middle = 0.5 * (low + high)
-        enough = bend(middle) <= most
+        enough = fits(middle)
         high = np.where(enough, middle, high)
         low = np.where(enough, low, middle)
-    return np.where(bend(np.zeros(len(leg))) <= most, 0.0, high)
+    return np.where(fits(np.zeros(len(leg))), 0.0, high)

@@ -14,9 +14,9 @@ from openclone.motion.contacts import (
     smooth,
 )
 from openclone.motion.reach import (
+    hip_move,
     is_upright,
     pitched,
-    squat_lift,
     upright_offset,
     within_waist,
 )
@@ -210,7 +210,7 @@ def make_targets(motion: HumanMotion, config: RetargetConfig) -> Targets:
     pelvis = hip - rotations.rotate(pelvis_quat, np.array([0.0, 0.0, HIP_HEIGHT]))
     pelvis[:, 2] = _soft_floor(pelvis[:, 2], config.lowest_pelvis)
     feet = [_foot_targets(motion, contact, side, scale, config) for side in SIDES]
-    pelvis[:, 2] += _squat_lift(pelvis, pelvis_quat, feet, config)
+    pelvis += _fit_squat(pelvis, pelvis_quat, feet, config)
     pelvis[:, 2] -= _reach_drop(pelvis, pelvis_quat, [foot[0] for foot in feet], config)
     torso = pelvis + rotations.rotate(pelvis_quat, TORSO)
     position = {"pelvis": pelvis}
@@ -274,24 +274,43 @@ def _reach_drop(
     return _held_over(np.max(drops, axis=0))
 
 
-def _squat_lift(
+_SQUAT_BACK, _SQUAT_UP = 0.2, 0.3
+"""Metres; a squatting pelvis moves back at most this far, then up."""
+
+
+def _fit_squat(
     pelvis: np.ndarray,
     quat: np.ndarray,
     feet: list[tuple[np.ndarray, np.ndarray]],
     config: RetargetConfig,
 ) -> np.ndarray:
-    """Metres (T,) to raise the pelvis so that no ankle bends beyond its range."""
-    lifts = []
+    """Move (T, 3) of the pelvis so that no ankle bends beyond its range.
+
+    People squat on their toes with the hips above the feet; the robot's soles stay
+    flat, so its hips go back, and up only where that is not enough.
+    """
+    legs, pitches = [], []
     for sign, (place, turn) in zip((1.0, -1.0), feet, strict=True):
         offset = np.array([0.0, sign * HIP_HALF_WIDTH, HIP_HEIGHT])
         leg = pelvis + rotations.rotate(quat, offset) - place
         ahead = rotations.rotate(turn, np.array([1.0, 0.0, 0.0]))
         level = np.linalg.norm(ahead[:, :2], axis=1)
         forward = (leg[:, :2] * ahead[:, :2]).sum(axis=1) / np.maximum(level, 1e-6)
-        planar = np.stack((forward, leg[:, 2]), axis=1)
-        pitch = np.arctan2(ahead[:, 2], level)
-        lifts.append(squat_lift(planar, pitch, THIGH, SHANK, config.max_ankle))
-    return _held_over(np.max(lifts, axis=0))
+        legs.append(np.stack((forward, leg[:, 2]), axis=1))
+        pitches.append(np.arctan2(ahead[:, 2], level))
+
+    def needed(farthest: tuple[float, float]) -> np.ndarray:
+        shares = [
+            hip_move(leg, pitch, THIGH, SHANK, config.max_ankle, farthest)
+            for leg, pitch in zip(legs, pitches, strict=True)
+        ]
+        return _held_over(np.max(shares, axis=0))
+
+    back = _SQUAT_BACK * needed((-_SQUAT_BACK, 0.0))
+    legs = [leg - np.stack((back, 0.0 * back), axis=1) for leg in legs]
+    up = _SQUAT_UP * needed((0.0, _SQUAT_UP))
+    heading = rotations.heading(quat)
+    return rotations.rotate(heading, np.stack((-back, 0.0 * back, up), axis=1))
 
 
 def _held_over(need: np.ndarray) -> np.ndarray:
