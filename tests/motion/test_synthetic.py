@@ -238,12 +238,16 @@ def test_both_directions_occur() -> None:
 
 
 def test_arms_swing_against_the_legs() -> None:
-    motion = example("forward", 0)
-    ahead = motion.corners[:, 0, :, 0].mean(1) - motion.corners[:, 1, :, 0].mean(1)
-    left, right = motion.clip.joint_angles[:, 15], motion.clip.joint_angles[:, 22]
-    walking = np.abs(ahead) > 0.02
-    # A shoulder that pitches up swings its arm back.
-    assert np.corrcoef(ahead[walking], (left - right)[walking])[0, 1] > 0.8
+    found = []
+    for index in range(4):
+        motion = example("forward", index)
+        ahead = motion.corners[:, 0, :, 0].mean(1) - motion.corners[:, 1, :, 0].mean(1)
+        left, right = motion.clip.joint_angles[:, 15], motion.clip.joint_angles[:, 22]
+        walking = np.abs(ahead) > 0.02
+        # A shoulder that pitches up swings its arm back.
+        found.append(np.corrcoef(ahead[walking], (left - right)[walking])[0, 1])
+    # A third of the walkers carry something or point at something.
+    assert np.median(found) > 0.8
 
 
 def test_chain_agrees_with_mujoco() -> None:

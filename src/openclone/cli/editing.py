@@ -48,7 +48,7 @@ def motions_edit(
     """
     from openclone.motion import edit, recombine, warp
     from openclone.motion.blend import joined
-    from openclone.motion.clip import load_clip, save_clip
+    from openclone.motion.clip import load_clip
     from openclone.motion.heights import height_series, with_head_height
 
     positive("--rate", rate)
@@ -71,6 +71,13 @@ def motions_edit(
     if pad > 0:
         result = edit.pad_start(edit.pad_still(result, pad), pad)
     results, refusals = height_series(result) if fig3 else ([result], [])
+    _write(results, refusals, out)
+
+
+def _write(results: list[Clip], refusals: list[str], out: Path) -> None:
+    """Save the edited clips and say which edits were refused."""
+    from openclone.motion.clip import save_clip
+
     for made in results:
         save_clip(made, out / file_name(made))
         print(f"{out / file_name(made)}: {made.seconds:.1f} s")
@@ -92,8 +99,6 @@ def motions_augment(
 ) -> None:
     """Make more motions of a folder: varied hands, new pairings, other timings.
 
-    Edits that would not be clean are left out and counted, by reason.
-
     Args:
         source: folder of clips or recordings.
         out: folder for the new clips; the old ones are not copied.
@@ -102,7 +107,7 @@ def motions_augment(
         pairs: copies of each clip with waist and arms of another one.
         rates: copies of each clip that are played at an uneven rate.
         seed: equal seeds give equal motions.
-        json: write the figures to this file.
+        json: write the figures, refusals by reason among them, to this file.
     """
     import numpy as np
 

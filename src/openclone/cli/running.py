@@ -65,8 +65,7 @@ def teleop(
         policy: policy bundle; the packaged student by default.
         seconds: length of the run; by default until the recording ends.
         realtime: keep real time; otherwise as fast as possible and reproducible.
-        odometry: what closes the loop: the simulator's truth, or FAST-LIO2 (lio) or
-            rko_lio (rko) on a simulated LiDAR and IMU.
+        odometry: the simulator's truth, FAST-LIO2 (lio) or rko_lio (rko).
         world: where the robot is; by default flat ground, with a LiDAR the room.
         noise: add the odometry error of Eq. 2 to the truth.
         seed: of the odometry error, or of the simulated sensors.
@@ -77,7 +76,6 @@ def teleop(
     """
     from openclone.odometry.noise import OdometryNoiseConfig
     from openclone.policy.bundle import load_bundle
-    from openclone.teleop.recorder import save_log
     from openclone.teleop.session import run_teleop
 
     positive("--seconds", seconds)
@@ -102,9 +100,16 @@ def teleop(
     if odometry != "ground-truth":
         figures["odometry"] = _odometry_figures(result, odometry)
     write_figures(json, {"operator": operator, **figures})
-    if record is not None:
-        save_log(result.log, record)
-        print(f"recorded: {record}")
+    _save(result, record)
+
+
+def _save(result: SessionResult, path: Path | None) -> None:
+    """Write every tick of the session, if wanted."""
+    from openclone.teleop.recorder import save_log
+
+    if path is not None:
+        save_log(result.log, path)
+        print(f"recorded: {path}")
 
 
 def _session_figures(

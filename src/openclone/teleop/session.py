@@ -86,17 +86,14 @@ def run_teleop(
         recording: the operator.
         bundle: the policy.
         seconds: length of the run; None: until the recording has been played.
-        realtime: in real time with a headset-like thread, or as fast as possible
-            (then everything is reproducible).
+        realtime: with a headset-like thread, or as fast as possible and reproducible.
         subscribers: receive every tick; their ``put`` must return at once.
         noise: of the stand-in odometry (Eq. 2); None: exact positions.
         seed: of that noise, or of the sensors' errors.
         config: settings of the parts.
-        robot: the simulated robot to use, as it stands; None: a new one, standing at
-            the origin of ``world``.
+        robot: to use as it stands; None: a new one at the origin of ``world``.
         world: name of a world of `simulation.worlds`.
-        odometry: what closes the loop: the truth with ``noise``, FAST-LIO2 ("lio") or
-            rko_lio ("rko") on the simulated LiDAR and IMU.
+        odometry: the truth with ``noise``, or FAST-LIO2 or rko_lio on the sensors.
 
     Raises:
         InputError: the recording is malformed, or there is no such world or odometry.
@@ -104,14 +101,6 @@ def run_teleop(
     """
     check_recording(recording)
     config = config or SessionConfig()
-    loop_config = config.loop
-    calibration = loop_config.calibration
-    if calibration.operator is None:
-        operator_body = measure_operator(
-            recording.positions, recording.quats, calibration.proportions
-        )
-        calibration = replace(calibration, operator=operator_body)
-        loop_config = replace(loop_config, calibration=calibration)
     surroundings = World("given", robot.model) if robot else build_world(world)
     if robot is None:
         robot = SimulatedRobot(surroundings.model)
@@ -125,7 +114,7 @@ def run_teleop(
         source,
         StudentController(bundle),
         MonotonicClock() if realtime else ManualClock(),
-        config=loop_config,
+        config=_measured(config.loop, recording),
         kinematics=Kinematics(robot.model),
         subscribers=(recorder, *subscribers),
     )
@@ -136,10 +125,27 @@ def run_teleop(
         if isinstance(source, LidarOdometry):
             source.close()
             cost = source.cost()
-    log = recorder.log()
+    return _result(stats, recorder.log(), operator, cost)
+
+
+def _result(
+    stats: LoopStats, log: TickLog, operator: ReplayOperator, cost: OdometryCost
+) -> SessionResult:
+    """What happened, with the recording's time of every tick."""
     shown = operator.recording_time(log.operator_stamp_ns)
     shown = np.where(log.operator_stamp_ns < 0, -1.0, shown)
     return SessionResult(stats, log, shown, cost)
+
+
+def _measured(config: LoopConfig, recording: OperatorRecording) -> LoopConfig:
+    """``config`` with the operator's measures, from ``recording`` if not given."""
+    calibration = config.calibration
+    if calibration.operator is not None:
+        return config
+    body = measure_operator(
+        recording.positions, recording.quats, calibration.proportions
+    )
+    return replace(config, calibration=replace(calibration, operator=body))
 
 
 def _odometry(
