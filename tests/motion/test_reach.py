@@ -105,5 +105,5 @@ def test_a_hip_that_goes_back_need_not_rise() -> None:
     back = 0.2 * hip_move(leg, np.zeros(1), 0.3, 0.3, 0.8, (-0.2, 0.0))
     assert 0 < back[0] < 0.2
     assert shank_lean(0.05 - back[0], 0.3) == pytest.approx(0.8, abs=0.01)
-    # Too far ahead: all of the way, and still not enough.
-    assert hip_move(leg + [[0.3, 0]], np.zeros(1), 0.3, 0.3, 0.8, (-0.2, 0))[0] == 1
+    far = leg + np.array([[0.3, 0.0]])  # all of the way is not enough
+    assert hip_move(far, np.zeros(1), 0.3, 0.3, 0.8, (-0.2, 0))[0] == 1
