@@ -16,7 +16,7 @@ from openclone.simulation.sensors import HeadSensors, imu_pose
 from openclone.simulation.worlds import World, build_world
 from openclone.spatial import rotations
 from openclone.spatial.poses import Pose
-from openclone.teleop.lidar_odometry import InOrder, LidarOdometry
+from openclone.teleop.lidar_odometry import LidarOdometry
 from openclone.teleop.messages import OperatorRecording
 from openclone.teleop.session import run_teleop
 
@@ -112,18 +112,6 @@ def test_a_scan_is_registered_when_its_result_would_have_come(flat: World) -> No
     for end_ns, newest_imu_ns in oracle.scans[begun + 1 :]:
         assert 35_000_000 <= newest_imu_ns - end_ns <= 60_000_000
     assert len(oracle.scans) - begun >= 3
-
-
-def test_readings_come_in_order_for_those_who_need_it(flat: World) -> None:
-    robot = SimulatedRobot(flat.model)
-    oracle = Oracle(robot)
-    in_order = InOrder(oracle)
-    for k in range(1, 60):
-        in_order.add_imu(5_000_000 * k, np.zeros(3), np.zeros(3))
-    assert oracle.imu_ns == []
-    stamps = np.linspace(100_000_000, 200_000_000, 20_000).astype(np.int64)
-    in_order.add_scan(np.zeros((20_000, 3)), stamps)
-    assert oracle.imu_ns == [5_000_000 * k for k in range(1, 41)]
 
 
 def test_in_real_time_frames_are_worked_off_beside_the_loop(flat: World) -> None:

@@ -73,37 +73,6 @@ class _Tally:
     untrusted: int = 0
 
 
-class InOrder:
-    """A `SensorOdometry` that wants every reading just before the scan it belongs to.
-
-    For odometries that are neither safe in two threads nor able to take a late scan.
-    """
-
-    def __init__(self, odometry: SensorOdometry) -> None:
-        """Wrap ``odometry``."""
-        self._odometry = odometry
-        self._waiting: deque[tuple[int, np.ndarray, np.ndarray]] = deque()
-
-    def add_imu(self, stamp_ns: int, gyro: np.ndarray, accel: np.ndarray) -> None:
-        """Keep one reading for the scan that ends after it."""
-        self._waiting.append((stamp_ns, gyro, accel))
-
-    def add_scan(self, points: np.ndarray, stamps_ns: np.ndarray) -> object:
-        """Pass on the readings up to the end of this frame, then the frame."""
-        end_ns = int(stamps_ns.max())
-        while self._waiting and self._waiting[0][0] <= end_ns:
-            self._odometry.add_imu(*self._waiting.popleft())
-        return self._odometry.add_scan(points, stamps_ns)
-
-    def pose_at(self, stamp_ns: int) -> tuple[np.ndarray, np.ndarray]:
-        """Position ``(3,)`` and wxyz ``(4,)`` of the IMU."""
-        return self._odometry.pose_at(stamp_ns)
-
-    def health(self, stamp_ns: int) -> OdometryHealth:
-        """As the wrapped odometry says."""
-        return self._odometry.health(stamp_ns)
-
-
 class LidarOdometry:
     """An `odometry.protocol.Odometry` for the pelvis, from the head's sensors."""
 
@@ -121,7 +90,7 @@ class LidarOdometry:
         Args:
             sensors: of the robot.
             estimator: fresh; takes readings while it registers a scan in another
-                thread, and scans that end before the newest reading (or `InOrder`).
+                thread, and scans that end before the newest reading.
             model: any with the G1's bodies, for the way from pelvis to head.
             config: settings.
             realtime: work in a thread, or in the caller and reproducibly.

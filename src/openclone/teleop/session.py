@@ -23,7 +23,6 @@ from openclone.spatial.clock import ManualClock, MonotonicClock
 from openclone.spatial.poses import Pose
 from openclone.teleop.calibration import measure_operator
 from openclone.teleop.lidar_odometry import (
-    InOrder,
     LidarOdometry,
     LidarOdometryConfig,
     OdometryCost,
@@ -185,5 +184,5 @@ def make_estimator(name: SensorOdometryName) -> SensorOdometry:
     if name == "rko":
         from openclone.odometry.rko import RkoLio
 
-        return InOrder(RkoLio())
+        return RkoLio()
     raise InputError(f"unknown odometry {name!r}", remedy="use ground-truth, lio, rko")
