@@ -12,6 +12,7 @@ import pytest
 
 from openclone.motion.clip import Clip, ClipInfo
 from openclone.motion.library import read_recording
+from openclone.motion.proportions import FPS, RetargetConfig
 from openclone.motion.quality import ClipQuality
 from openclone.motion.retarget import (
     CannotFollowError,
@@ -20,7 +21,7 @@ from openclone.motion.retarget import (
     start_at_origin,
 )
 from openclone.motion.skeleton import JOINTS, HumanMotion
-from openclone.motion.targets import FPS, RetargetConfig, make_targets
+from openclone.motion.targets import make_targets
 from openclone.robot import g1
 from openclone.robot.kinematics import Kinematics
 from openclone.robot.model import SOLE_CORNERS, build_model

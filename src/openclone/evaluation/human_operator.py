@@ -11,8 +11,8 @@ from __future__ import annotations
 import math
 
 from openclone.motion.contacts import ground_level, level_ground
+from openclone.motion.proportions import SHANK, THIGH
 from openclone.motion.skeleton import HumanMotion, operator_points
-from openclone.motion.targets import SHANK, THIGH
 from openclone.spatial import rotations
 from openclone.teleop.calibration import (
     BodyProportions,

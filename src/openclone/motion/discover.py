@@ -12,9 +12,9 @@ from openclone.errors import InputError
 from openclone.motion import library
 from openclone.motion.clip import CATEGORIES, ClipInfo, load_clip
 from openclone.motion.library import Entry
+from openclone.motion.proportions import FPS
 from openclone.motion.readers import looks_like_motion
 from openclone.motion.splits import performance_of
-from openclone.motion.targets import FPS
 
 _WORDS = (
     ("crouchwalk", "sneak|stealth|crouch.?walk"),

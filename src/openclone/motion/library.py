@@ -17,10 +17,10 @@ from pathlib import Path, PurePosixPath
 from openclone.errors import InputError
 from openclone.motion.batch import Job, Outcome, digest_of, run_jobs
 from openclone.motion.clip import CATEGORIES, Clip, ClipInfo, load_clip
+from openclone.motion.proportions import FPS
 from openclone.motion.quality import Gate, faults
 from openclone.motion.readers import SUFFIXES, source_files
 from openclone.motion.readers import read_recording as read_recording
-from openclone.motion.targets import FPS
 
 MANIFEST = "manifest.tsv"
 COLUMNS = ("split", "category", "path", "format", "seconds", "licence")

@@ -9,15 +9,16 @@ import numpy as np
 
 from openclone.errors import InputError
 from openclone.motion.clip import Clip, ClipInfo, clip_from_qpos
+from openclone.motion.proportions import FPS, RetargetConfig
 from openclone.motion.quality import ClipQuality, Gate, QualityMeter, faults
 from openclone.motion.skeleton import SIDES, HumanMotion
 from openclone.motion.skeleton import start_at_origin as motion_at_origin
-from openclone.motion.targets import FPS, RetargetConfig, Targets, make_targets
+from openclone.motion.targets import Targets, make_targets
 from openclone.robot import g1
 from openclone.robot.model import SOLE_CORNERS, build_model
 from openclone.spatial import rotations
 
-VERSION = 12
+VERSION = 13
 """Raise when the output changes: cached clips of older versions are made again."""
 
 _ARM = ("elbow_yaw", "wrist", "hand")
