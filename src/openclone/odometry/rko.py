@@ -1,7 +1,9 @@
 """rko_lio behind the interface of our own odometry, as a second opinion.
 
-rko_lio (Malladi et al., 2025, MIT licence) runs in C++. It gives one pose per scan;
-between scans this adapter continues the motion at constant velocity.
+rko_lio (Malladi et al., 2025, MIT licence) runs in C++. It gives one pose per scan, and
+on a walking robot these lag and sway by up to two degrees. For a control loop this
+adapter therefore follows the IMU between and beyond them (`imu_follower`); without
+that, the poses are rko_lio's own, continued at constant velocity.
 """
 
 from __future__ import annotations
@@ -12,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from openclone.errors import InputError
+from openclone.odometry.imu_follower import ImuFollower
 from openclone.odometry.motion_model import ConstantVelocity
 from openclone.odometry.protocol import OdometryHealth
 from openclone.spatial import rotations
@@ -30,14 +33,24 @@ class RkoLioConfig:
         voxel_size: metres, of its map.
         min_range: metres; nearer points are ignored.
         max_range: metres; farther points are ignored.
+        max_correspondence_distance: metres; points farther apart are no pair.
+        double_downsample: thin the scan twice before it is registered.
+        max_expected_jerk: m/s³; how fast it lets the acceleration change.
+        min_beta: least weight of gravity's direction; -1: without it.
+        follow_imu: `RkoLio.pose_at` follows the IMU between and beyond the scans.
         threads: for its registration.
         stale_ns: without a registered scan for so long it is unhealthy.
     """
 
     lidar_in_imu: tuple[float, float, float] = MID360_LIDAR_IN_IMU
-    voxel_size: float = 0.5
+    voxel_size: float = 0.25
     min_range: float = 0.3
     max_range: float = 60.0
+    max_correspondence_distance: float = 0.5
+    double_downsample: bool = True
+    max_expected_jerk: float = 3.0
+    min_beta: float = 200.0
+    follow_imu: bool = True
     threads: int = 1
     stale_ns: int = 300_000_000
 
@@ -85,6 +98,10 @@ class RkoLio:
                 voxel_size=self._config.voxel_size,
                 min_range=self._config.min_range,
                 max_range=self._config.max_range,
+                max_correspondence_distance=self._config.max_correspondence_distance,
+                double_downsample=self._config.double_downsample,
+                max_expected_jerk=self._config.max_expected_jerk,
+                min_beta=self._config.min_beta,
                 max_num_threads=self._config.threads,
                 # Without it the world is not level and the bias never estimated.
                 initialization_phase=True,
@@ -93,6 +110,7 @@ class RkoLio:
         self._imu_from_lidar = np.eye(4)
         self._imu_from_lidar[:3, 3] = self._config.lidar_in_imu
         self._motion = ConstantVelocity(self._config.stale_ns)
+        self._follower = ImuFollower() if self._config.follow_imu else None
         # rko_lio takes all readings since its last scan for those of the next one.
         self._waiting: deque[tuple[int, np.ndarray, np.ndarray]] = deque(maxlen=4096)
         self._imu_ns: int | None = None
@@ -104,7 +122,7 @@ class RkoLio:
         """One reading: (3,) rad/s and (3,) m/s², IMU frame.
 
         Raises:
-            InputError: wrong shapes, NaN, or a stamp that does not rise.
+            InputError: wrong shapes, NaN, g for m/s², or a stamp that does not rise.
         """
         gyro, accel = np.asarray(gyro, float), np.asarray(accel, float)
         values = np.concatenate((gyro.ravel(), accel.ravel()))
@@ -118,6 +136,8 @@ class RkoLio:
             raise InputError(
                 f"IMU stamp {stamp_ns} ns does not follow {self._imu_ns} ns"
             )
+        if self._follower is not None:
+            self._follower.add_imu(stamp_ns, gyro, accel)
         self._imu_ns = stamp_ns
         self._waiting.append((stamp_ns, gyro, accel))
 
@@ -147,11 +167,15 @@ class RkoLio:
             pose = self._lio.pose()
             quat = rotations.from_matrix(pose[:3, :3])
             self._motion.update(end_ns, pose[:3, 3], quat)
+            if self._follower is not None:
+                self._follower.correct(end_ns, pose[:3, 3], quat)
         position, quat = self._motion.pose_at(end_ns)
         return RkoLioState(end_ns, position, quat, self._registered)
 
     def pose_at(self, stamp_ns: int) -> tuple[np.ndarray, np.ndarray]:
         """Position (3,), metres, world, and wxyz (4,) of the IMU."""
+        if self._follower is not None:
+            return self._follower.pose_at(stamp_ns)
         return self._motion.pose_at(stamp_ns)
 
     def health(self, stamp_ns: int) -> OdometryHealth:
