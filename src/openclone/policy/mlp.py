@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import torch
 from torch import nn
 
+from openclone.policy.linear import Linear
+
 
 @dataclass(frozen=True)
 class MlpConfig:
@@ -26,10 +28,10 @@ class MlpNetwork(nn.Module):
         super().__init__()
         layers: list[nn.Module] = []
         for size in config.hidden:
-            layers += [nn.Linear(inputs, size), nn.ELU()]
+            layers += [Linear(inputs, size), nn.ELU()]
             inputs = size
         self.body = nn.Sequential(*layers)
-        self.head = nn.Linear(inputs, outputs)
+        self.head = Linear(inputs, outputs)
 
     def forward(self, inputs: torch.Tensor) -> torch.Tensor:
         """Map ``(n, inputs)`` to ``(n, outputs)``."""

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import torch
 from torch import nn
 
+from openclone.policy.linear import Linear
+
 
 @dataclass(frozen=True)
 class MoeConfig:
@@ -35,8 +37,8 @@ class MoeLayer(nn.Module):
     def __init__(self, width: int, experts: int, active: int) -> None:
         super().__init__()
         self.experts, self.active, self.width = experts, active, width
-        self.router = nn.Linear(width, experts)
-        self.expert = nn.Linear(width, experts * width)
+        self.router = Linear(width, experts)
+        self.expert = Linear(width, experts * width)
 
     def forward(self, hidden: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Map ``(n, width)`` to the output ``(n, width)`` and weights ``(n, N)``.
@@ -56,12 +58,12 @@ class MoeNetwork(nn.Module):
 
     def __init__(self, inputs: int, outputs: int, config: MoeConfig) -> None:
         super().__init__()
-        self.stem = nn.Linear(inputs, config.width)
+        self.stem = Linear(inputs, config.width)
         self.layers = nn.ModuleList(
             MoeLayer(config.width, config.experts, config.active)
             for _ in range(config.layers)
         )
-        self.head = nn.Linear(config.width, outputs)
+        self.head = Linear(config.width, outputs)
 
     def forward(self, inputs: torch.Tensor) -> torch.Tensor:
         """Map ``(n, inputs)`` to ``(n, outputs)``."""

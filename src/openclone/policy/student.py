@@ -13,6 +13,7 @@ from openclone.policy import observation
 from openclone.policy.bundle import BundleInfo, write_metadata
 from openclone.policy.mlp import MlpConfig, MlpNetwork
 from openclone.policy.moe import MoeConfig, MoeNetwork
+from openclone.policy.normalization import Normalization
 from openclone.robot import g1
 
 GROUP = "student"
@@ -53,6 +54,7 @@ class StudentModel(MLPModel):
             built = MlpNetwork(size, g1.NUM_JOINTS, network)
         nn.init.uniform_(built.head.weight, -0.01, 0.01)
         self.mlp = built
+        self.obs_normalizer = Normalization(size)
 
     @property
     def network(self) -> MoeNetwork | MlpNetwork:

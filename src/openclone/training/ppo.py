@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import torch
 from rsl_rl.algorithms import PPO
 from rsl_rl.models import MLPModel
-from rsl_rl.storage import RolloutStorage
 from tensordict import TensorDict
 
+from openclone.policy.linear import quicken
+from openclone.policy.normalization import Normalization
 from openclone.robot import g1
 from openclone.training.distributed import team
 from openclone.training.guard import NanGuard, Tensors
 from openclone.training.progress import Progress
+from openclone.training.storage import Rollouts
 from openclone.training.task import StepResult, TrackingTask
 
 
@@ -88,6 +90,8 @@ def mlp_model(
         obs_normalization=True,
         distribution_cfg=distribution if actor else None,
     )
+    model.obs_normalizer = Normalization(model.obs_dim)
+    quicken(model.mlp)
     if actor:
         last = [m for m in model.mlp.modules() if isinstance(m, torch.nn.Linear)][-1]
         with torch.no_grad():
@@ -100,10 +104,8 @@ def build_ppo(
     example: TensorDict, actor: MLPModel, critic: MLPModel, config: PpoConfig
 ) -> PPO:
     """rsl_rl's PPO around ``actor`` and ``critic``; ``example`` sizes the storage."""
-    storage = RolloutStorage(
-        "rl", example.batch_size[0], config.steps, example, [g1.NUM_JOINTS], "cpu"
-    )
-    return PPO(
+    storage = Rollouts(example, config.steps)
+    ppo = PPO(
         actor,
         critic,
         storage,
@@ -114,8 +116,23 @@ def build_ppo(
         entropy_coef=config.entropy,
         learning_rate=config.learning_rate,
         desired_kl=config.kl,
+        device=storage.device,
         multi_gpu_cfg=team().ppo_settings,
     )
+    fuse(ppo.optimizer)
+    return ppo
+
+
+def fuse(optimizer: torch.optim.Optimizer) -> None:
+    """Let Adam take its step in one pass; a loaded state brings other settings."""
+    for group in optimizer.param_groups:
+        group["fused"], group["foreach"] = True, None
+
+
+def resume_ppo(ppo: PPO, content: dict[str, Any]) -> None:
+    """Go on from what `PPO.save` returned."""
+    ppo.load(content, None, strict=True)
+    fuse(ppo.optimizer)
 
 
 AfterUpdate = Callable[[TensorDict], dict[str, float]]

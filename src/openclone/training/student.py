@@ -22,7 +22,7 @@ from openclone.training.checkpoint import (
 )
 from openclone.training.data import load_reference, make_task
 from openclone.training.distillation import Dagger, distill, router_usage
-from openclone.training.ppo import AfterUpdate, build_ppo, learn
+from openclone.training.ppo import AfterUpdate, build_ppo, learn, resume_ppo
 from openclone.training.presets import StudentPreset
 from openclone.training.progress import Budget, Progress, Trained
 from openclone.training.reference import ReferenceMotions
@@ -238,7 +238,7 @@ def _tuning_phase(
         env.task.style = style
         watchers.append(lambda _: style.update())
     if "ppo" in content:
-        ppo.load(content["ppo"], None, strict=True)
+        resume_ppo(ppo, content["ppo"])
         if style is not None and content.get("amp"):
             style.load_state_dict(content["amp"])
     budget = Budget(minutes, preset.tuning_iterations)

