@@ -120,3 +120,53 @@ def standing(frames: int, fps: float = 50.0) -> HumanMotion:
 def human() -> Callable[..., HumanMotion]:
     """`standing`, for the tests."""
     return standing
+
+
+RUN_PERIOD, RUN_STANCE = 36, 13
+"""Frames of 20 ms: a stride, and how long each foot of it bears."""
+
+
+def running(lift: float = 0.25) -> tuple[HumanMotion, np.ndarray]:
+    """A human who runs along +X, and who stands when: (T, 2), left and right.
+
+    A foot lands flat and, from the middle of its stance on, turns about the ball until
+    it points down by 65 degrees. In flight it goes a metre ahead, heel up, and the ball
+    rises by ``lift`` metres.
+    """
+    frames = 180
+    motion = standing(frames)
+    positions = motion.positions.copy()
+    stands = np.zeros((frames, 2), dtype=bool)
+    stride = 1.2
+    positions[..., 0] += (stride / RUN_PERIOD * np.arange(frames))[:, None]
+    toe_off = np.radians(65)
+    for index, (side, sign) in enumerate((("left", 1.0), ("right", -1.0))):
+        for frame in range(frames):
+            cycle, phase = divmod(frame + index * RUN_PERIOD // 2, RUN_PERIOD)
+            half = RUN_STANCE / 2
+            ball = np.array([stride * (cycle - index / 2 + 0.2), sign * 0.09, 0.02])
+            turn = toe_off * np.clip(phase / half - 1.0, 0.0, 1.0) ** 2
+            if phase < RUN_STANCE:
+                stands[frame, index] = True
+            else:
+                swing = (phase - RUN_STANCE + 1) / (RUN_PERIOD - RUN_STANCE + 1)
+                ball[0] += stride * (swing - 0.9 * np.sin(2 * np.pi * swing) / 6.3)
+                ball[2] += lift * np.sin(np.pi * swing)
+                turn = toe_off * np.cos(0.5 * np.pi * swing)
+            back, up = -0.13, 0.07
+            ankle = ball + np.array(
+                [
+                    back * np.cos(turn) + up * np.sin(turn),
+                    0.0,
+                    up * np.cos(turn) - back * np.sin(turn),
+                ]
+            )
+            positions[frame, JOINTS.index(f"{side}_ankle")] = ankle
+            positions[frame, JOINTS.index(f"{side}_toe")] = ball
+    return HumanMotion("running", motion.fps, positions, motion.quats), stands
+
+
+@pytest.fixture
+def runner() -> Callable[..., tuple[HumanMotion, np.ndarray]]:
+    """`running`, for the tests."""
+    return running

@@ -118,6 +118,24 @@ def test_slow_sliding_is_still_standing_but_walking_is_not(human: Human) -> None
     assert not foot_contacts(fast).any()
 
 
+def test_a_runner_stands_until_the_ball_leaves_the_ground(
+    runner: Callable[..., tuple[HumanMotion, np.ndarray]],
+) -> None:
+    motion, stands = runner()
+    contact = foot_contacts(motion)
+    inner = slice(36, 144)  # three strides
+    for side in range(2):
+        assert len(runs(contact[inner, side])) == len(runs(stands[inner, side]))
+        share = contact[inner, side].mean() / stands[inner, side].mean()
+        assert 0.75 < share < 1.15
+    flight = np.logical_not(stands.any(axis=1))
+    found = np.logical_not(contact.any(axis=1))
+    assert flight[inner].mean() == pytest.approx(10 / 36)
+    assert 0.2 < found[inner].mean() < 0.42
+    # Never both at once, as in a walk.
+    assert not contact[inner].all(axis=1).any()
+
+
 def test_runs_and_smoothing() -> None:
     assert runs(np.array([1, 1, 0, 0, 1], dtype=bool)) == [(0, 2), (4, 5)]
     assert runs(np.zeros(3, dtype=bool)) == []

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
-from openclone.motion.footing import apart
+from openclone.motion.contacts import foot_contacts
+from openclone.motion.footing import apart, foot_targets
+from openclone.motion.proportions import FPS, RetargetConfig
+from openclone.motion.skeleton import HumanMotion
+from openclone.robot.model import SOLE_CORNERS
 from openclone.spatial import rotations
 
 LEAST = 0.16
@@ -79,3 +85,44 @@ def test_no_foot_is_moved_far() -> None:
     for side in range(2):
         stands = contact[:, side]
         assert np.linalg.norm(moves[side, stands], axis=-1).max() < 0.0801
+
+
+def runner_soles(motion: HumanMotion, contact: np.ndarray) -> np.ndarray:
+    """(2, T, 4, 3), metres: the corners of both soles of a runner, as wanted."""
+    feet = foot_targets(motion, contact, 0.75, RetargetConfig())
+    return np.stack(
+        [
+            place[:, None] + rotations.rotate(quat[:, None], SOLE_CORNERS[None])
+            for place, quat in feet
+        ]
+    )
+
+
+def test_a_runner_pushes_off_over_the_front_edge_of_the_sole(
+    runner: Callable[..., tuple[HumanMotion, np.ndarray]],
+) -> None:
+    motion, _ = runner()
+    contact = foot_contacts(motion)
+    soles = runner_soles(motion, contact)
+    front = SOLE_CORNERS[:, 0] == SOLE_CORNERS[:, 0].max()
+    for side in range(2):
+        stands = contact[:, side]
+        heel = soles[side][stands][:, ~front, 2]
+        assert heel.max() > 0.03
+        assert heel.max() < 0.09
+        edge = soles[side][:, front]
+        assert np.abs(edge[stands][..., 2]).max() < 0.002
+        held = stands[1:] & stands[:-1]
+        assert np.linalg.norm(np.diff(edge, axis=0)[held], axis=-1).max() < 0.002
+
+
+def test_a_swinging_sole_does_not_scrape(
+    runner: Callable[..., tuple[HumanMotion, np.ndarray]],
+) -> None:
+    # A shuffling human, whose toes hardly rise.
+    soles = runner_soles(*runner(lift=0.01))
+    low = soles[..., 2] < 0.005
+    speed = np.linalg.norm(np.diff(soles[..., :2], axis=1), axis=-1) * FPS
+    touches = low[:, 1:] & low[:, :-1]
+    assert touches.mean() > 0.15
+    assert speed[touches].mean() < 0.05

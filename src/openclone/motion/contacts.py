@@ -28,6 +28,8 @@ class ContactConfig:
             Many recordings were taken on a floor that is not level.
         max_drift: metres by which the floor may rise along a recording.
         min_stance_s: shorter stances and gaps are noise, seconds.
+        ball_height: metres of the ball above its lowest level nearby while it bears.
+        ball_share: speed of a bearing ball as a share of the foot's fastest swing.
     """
 
     max_speed: float = 0.35
@@ -38,6 +40,8 @@ class ContactConfig:
     nearby_s: float = 0.7
     max_drift: float = 0.15
     min_stance_s: float = 0.08
+    ball_height: float = 0.035
+    ball_share: float = 0.25
 
 
 def smooth(values: np.ndarray, sigma: float, *, going_on: bool = False) -> np.ndarray:
@@ -146,26 +150,40 @@ def level_ground(motion: HumanMotion) -> HumanMotion:
 def foot_contacts(
     motion: HumanMotion, config: ContactConfig | None = None
 ) -> np.ndarray:
-    """(T, 2) booleans: the left and the right foot stand on the ground."""
+    """(T, 2) booleans: the left and the right foot stand on the ground.
+
+    Runners land and push off on the ball of a foot whose ankle moves. A low, slow ball
+    counts where no foot stands otherwise: a walker's other foot bears by then.
+    """
     config = config or ContactConfig()
     window = 2 * round(config.nearby_s * motion.fps) + 1
+    frames = max(round(config.min_stance_s * motion.fps), 1)
     ankle_level = ground_level(motion, "ankle")
     toe_level = ground_level(motion, "toe")
-    columns = []
+    stands, balls = [], []
     for side in SIDES:
         ankle, toe = motion.joint(f"{side}_ankle"), motion.joint(f"{side}_toe")
-        speed = velocity(ankle, motion.fps)
-        level_speed = np.linalg.norm(speed[:, :2], axis=1)
+        level_speed, lift_speed = _speeds(ankle, motion.fps)
         swing = maximum_filter1d(level_speed, window, mode="nearest")
         share = config.speed_share * swing
         toe_height = _above_nearby(toe[:, 2], toe_level, window, config)
         heel_height = _above_nearby(ankle[:, 2], ankle_level, window, config)
-        contact = (
-            (level_speed < np.maximum(config.max_speed, share))
-            & (np.abs(speed[:, 2]) < np.maximum(config.max_lift_speed, share))
-            & (toe_height < config.max_height)
-            & (heel_height < config.max_heel)
+        low = (toe_height < config.max_height) & (heel_height < config.max_heel)
+        slow = level_speed < np.maximum(config.max_speed, share)
+        slow &= lift_speed < np.maximum(config.max_lift_speed, share)
+        stands.append(_without_short_runs(low & slow, frames))
+        ball_speed = np.max(_speeds(toe, motion.fps), axis=0)
+        balls.append(
+            low
+            & (toe_height < config.ball_height)
+            & (ball_speed < config.ball_share * swing)
         )
-        frames = max(round(config.min_stance_s * motion.fps), 1)
-        columns.append(_without_short_runs(contact, frames))
-    return np.stack(columns, 1)
+    contact = np.stack(stands, 1)
+    contact |= np.stack(balls, 1) & ~contact.any(axis=1, keepdims=True)
+    return np.stack([_without_short_runs(column, frames) for column in contact.T], 1)
+
+
+def _speeds(track: np.ndarray, fps: float) -> tuple[np.ndarray, np.ndarray]:
+    """Horizontal and vertical speed (T,) along ``track (T, 3)``, m/s."""
+    speed = velocity(track, fps)
+    return np.linalg.norm(speed[:, :2], axis=1), np.abs(speed[:, 2])

@@ -38,7 +38,7 @@ def _foot_angles(motion: HumanMotion, side: str) -> tuple[np.ndarray, np.ndarray
 
 
 def _lock(values: np.ndarray, contact: np.ndarray) -> np.ndarray:
-    """Hold a foot still and flat in each stance, shift the swings between to fit.
+    """Hold a foot in its place in each stance, shift the swings between to fit.
 
     Args:
         values: (T, 5), x, y, height, yaw, pitch of the foot, metres and radians.
@@ -52,11 +52,36 @@ def _lock(values: np.ndarray, contact: np.ndarray) -> np.ndarray:
         held = np.median(values[start:stop], axis=0)
         held[[2, 4]] = 0.0
         frames += range(start, stop)
-        shifts += list(held - values[start:stop])
+        shifts += list(_planted(held, values[start:stop, 4]) - values[start:stop])
     at = np.arange(len(values))
     table = np.array(shifts)
     shift = [np.interp(at, frames, table[:, k]) for k in range(values.shape[1])]
     return values + np.stack(shift, 1)
+
+
+_FLAT, _MOST_ROLL = 0.25, 0.35
+"""Radians; a foot that points down by less than the first stands flat; the heel of
+one that points down further rises by the rest, up to the second."""
+_BALL = float(SOLE_CORNERS[:, 0].max())
+"""Metres from the ankle to the front edge of the sole."""
+
+
+def _planted(held: np.ndarray, pitch: np.ndarray) -> np.ndarray:
+    """(T, 5): a foot in the place ``held (5,)`` that rolls over its front edge.
+
+    A flat foot would ask too much of the ankle of a leg that pushes off.
+
+    Args:
+        held: x, y, height, yaw and pitch of the flat foot, metres and radians.
+        pitch: (T,), that of the human foot.
+    """
+    roll = np.clip(-pitch - _FLAT, 0.0, _MOST_ROLL)
+    forward = _BALL * (1.0 - np.cos(roll)) + ANKLE_HEIGHT * np.sin(roll)
+    out = np.tile(held, (len(pitch), 1))
+    out[:, 0] += forward * np.cos(held[3])
+    out[:, 1] += forward * np.sin(held[3])
+    out[:, 4] = -roll
+    return out
 
 
 _LONGEST_SWING_S = 1.2
@@ -67,6 +92,9 @@ _FULL_STRIDE = 0.2
 
 def _swing_height(stands: np.ndarray, place: np.ndarray, height: float) -> np.ndarray:
     """Least height of the sole (T,), metres: an arch over each step.
+
+    It is steep at its ends, so that no sole scrapes over the ground while its foot
+    gathers speed or still has some.
 
     Args:
         stands: (T,), the foot stands.
@@ -80,14 +108,14 @@ def _swing_height(stands: np.ndarray, place: np.ndarray, height: float) -> np.nd
         travel = np.linalg.norm(place[stop - 1] - place[start])
         phase = (np.arange(start, stop) - start + 1) / (stop - start + 1)
         top = height * min(1.0, travel / _FULL_STRIDE)
-        arch[start:stop] = top * np.sin(np.pi * phase) ** 2
+        arch[start:stop] = top * np.sin(np.pi * phase)
     return arch
 
 
 def foot_targets(
     motion: HumanMotion, contact: np.ndarray, scale: float, config: RetargetConfig
 ) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Poses of both ``*_ankle_roll_link``: in stance flat, still and on the ground.
+    """Poses of both ``*_ankle_roll_link``: in stance still and on the ground.
 
     Args:
         motion: the human, at `FPS`.
