@@ -113,6 +113,27 @@ def test_takes_of_one_performance_stay_together(made: tuple[Build, Path]) -> Non
     assert sides["stand_1"] == sides["stand_2"]
 
 
+def test_splits_of_a_manifest_are_kept(root: Path, cache: Path, tmp_path: Path) -> None:
+    text = HEADER + row("stand", "stand_1.bvh") + row("wave", "wave_1.bvh", "dev")
+    text += row("stand", "stand_2.bvh", "dev")
+    for name in ("stand_1.bvh", "stand_2.bvh", "wave_1.bvh"):
+        (tmp_path / name).write_bytes((root / name).read_bytes())
+    (tmp_path / "manifest.tsv").write_text(text)
+    for seed in range(4):
+        config = BuildConfig(seed=seed)
+        result = build((tmp_path,), tmp_path / "out", config, cache=cache, workers=1)
+        # stand_1 and stand_2 are takes of one performance: both are held out.
+        assert {clip.split for clip in result.clips} == {"dev"}
+        assert [item.name for item in result.moved] == ["stand_1"]
+    settings = json.loads((tmp_path / "out" / BUILD_FILE).read_text())
+    assert settings["moved"][0]["given"] == "train"
+    config = BuildConfig(resplit=True)
+    again = build((tmp_path,), tmp_path / "out", config, cache=cache, workers=1)
+    # One performance of each category is too little to hold any out.
+    assert {clip.split for clip in again.clips} == {"train"}
+    assert not again.moved
+
+
 def test_same_bytes_for_one_and_two_processes(
     root: Path,
     made: tuple[Build, Path],

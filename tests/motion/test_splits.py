@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from openclone.motion.splits import DEV, TRAIN, Take, assign, keep, performance_of
+from openclone.motion.splits import DEV, TRAIN, Take, assign, performance_of, settle
 
 
 @pytest.mark.parametrize(
@@ -73,7 +73,16 @@ def test_performances_never_part(
         Take(f"n{k}", f"p{group}", category, seconds, split)
         for k, (group, category, seconds, split) in enumerate(rows)
     ]
-    for sides in (assign(items, seed, share), keep(items)):
+    kept, moved = settle(items, seed, share)
+    for take in items:
+        if take.split == DEV:
+            assert kept[take.name] == DEV
+        assert (
+            kept[take.name] == take.split
+            or not take.split
+            or take.name in {item.name for item in moved}
+        )
+    for sides in (assign(items, seed, share), kept):
         assert set(sides) == {take.name for take in items}
         found = defaultdict(set)
         for take in items:
@@ -104,10 +113,25 @@ def test_the_seed_decides_and_nothing_else() -> None:
     assert assign(items, 3, 0.2) != assign(items, 4, 0.2)
 
 
-def test_given_splits_are_kept_unless_they_part_a_performance() -> None:
+def test_what_is_held_out_never_gets_into_training() -> None:
     items = [
         Take("a1", "a", "walk", 5.0, "train"),
         Take("a2", "a", "walk", 2.0, "dev"),
-        Take("b1", "b", "walk", 2.0, "dev"),
+        Take("b1", "b", "walk", 2.0, "test"),
+        Take("c1", "c", "walk", 9.0, "train"),
+        Take("c2", "c", "walk", 9.0),
     ]
-    assert keep(items) == {"a1": "train", "a2": "train", "b1": "dev"}
+    sides, moved = settle(items, 0, 0.5)
+    assert sides == {"a1": DEV, "a2": DEV, "b1": "test", "c1": TRAIN, "c2": TRAIN}
+    assert [(item.name, item.given, item.split) for item in moved] == [
+        ("a1", "train", "dev")
+    ]
+    assert "a1 is in dev, not in train" in str(moved[0])
+
+
+def test_motions_without_a_split_are_drawn() -> None:
+    free = takes(20)
+    given = [Take("given", "given", "walk", 100.0, "train")]
+    sides, moved = settle([*free, *given], 0, 0.2)
+    assert sides == {**assign(free, 0, 0.2), "given": "train"}
+    assert not moved

@@ -26,7 +26,7 @@ def motions_build(
     out: Path,
     seed: int = 0,
     dev_share: float = 0.15,
-    keep_splits: bool = False,
+    resplit: bool = False,
     workers: int | None = None,
     category: str = "",
     licence: str = "unknown",
@@ -43,8 +43,8 @@ def motions_build(
         out: folder of the data set; an earlier build in it is replaced.
         seed: chooses the performances that are held out.
         dev_share: share of each category that is held out in the split dev.
-        keep_splits: keep the splits of the sources' manifests; a performance with
-            takes in several goes where most of it is.
+        resplit: choose anew for all; by default the splits that a manifest gives are
+            kept, except that a performance with a take held out is held out as a whole.
         workers: processes; one per core by default. The result is the same.
         category: of recordings without a manifest; by default judged by their names.
         licence: of recordings without a manifest.
@@ -59,7 +59,7 @@ def motions_build(
         raise InputError(f"--dev-share is {dev_share:g}", remedy="give 0 to 0.5")
     if not sources:
         raise InputError("no sources", remedy="name recordings or folders of them")
-    config = BuildConfig(seed, dev_share, keep_splits)
+    config = BuildConfig(seed, dev_share, resplit)
     with _progress_bar() as progress:
         made = build(
             sources,
@@ -81,6 +81,8 @@ def motions_build(
 def _print_build(made: Build, out: Path) -> None:
     for reject in made.rejects:
         print(f"rejected {reject.info.name}: {'; '.join(reject.reasons)}")
+    for moved in made.moved:
+        print(f"moved {moved}")
     splits = sorted({clip.split for clip in made.clips})
     for split in splits:
         part = [clip for clip in made.clips if clip.split == split]

@@ -35,13 +35,13 @@ class BuildConfig:
     Attributes:
         seed: chooses the performances that are held out.
         dev_share: share of each category's time that is held out.
-        keep_splits: leave the splits as the sources' manifests give them.
+        resplit: choose for all, not only for motions without a split in a manifest.
         gate: what a clip must reach.
     """
 
     seed: int = 0
     dev_share: float = 0.15
-    keep_splits: bool = False
+    resplit: bool = False
     gate: Gate = field(default_factory=Gate)
 
 
@@ -83,12 +83,20 @@ class Reject:
 
 @dataclass(frozen=True)
 class Build:
-    """What a build made; ``digest`` names the motions, however they are stored."""
+    """What a build made.
+
+    Attributes:
+        clips, rejects: what is in the data set, and what is not.
+        config: settings.
+        digest: names the motions, however they are stored.
+        moved: clips that are not in the split that their manifest gives them.
+    """
 
     clips: tuple[BuiltClip, ...]
     rejects: tuple[Reject, ...]
     config: BuildConfig
     digest: str
+    moved: tuple[splits.Moved, ...] = ()
 
     @property
     def seconds(self) -> float:
@@ -144,9 +152,10 @@ def build(
         else:
             accepted.append(outcome)
     recordings = {recording.name: recording for recording in found}
-    clips, digest = _store(accepted, recordings, out, config)
+    sides, moved = _sides(accepted, recordings, config)
+    clips, digest = _store(accepted, recordings, sides, out)
     rejects.sort(key=lambda reject: reject.info.name)
-    made = Build(clips, tuple(rejects), config, digest)
+    made = Build(clips, tuple(rejects), config, digest, moved)
     _write_tables(made, out, sources)
     return made
 
@@ -171,46 +180,47 @@ def _jobs(found: list[Recording], cache: Path) -> tuple[list[Job], list[Reject]]
     return jobs, rejects
 
 
-def _store(
-    accepted: list[Outcome],
-    recordings: dict[str, Recording],
-    out: Path,
-    config: BuildConfig,
-) -> tuple[tuple[BuiltClip, ...], str]:
-    """Write the clips into their splits; also returns the hash of their motions."""
+def _sides(
+    accepted: list[Outcome], recordings: dict[str, Recording], config: BuildConfig
+) -> tuple[dict[str, str], tuple[splits.Moved, ...]]:
+    """Name -> split of all accepted motions, and those that were given another."""
     takes = []
     for outcome in accepted:
         recording = recordings[outcome.job.info.name]
-        seconds = outcome.quality.seconds if outcome.quality else 0.0
         takes.append(
             splits.Take(
                 recording.name,
                 recording.performance,
                 recording.info.category,
-                seconds,
-                recording.entry.split,
+                outcome.quality.seconds if outcome.quality else 0.0,
+                "" if config.resplit else recording.entry.split,
             )
         )
-    if config.keep_splits:
-        sides = splits.keep(takes)
-    else:
-        sides = splits.assign(takes, config.seed, config.dev_share)
+    return splits.settle(takes, config.seed, config.dev_share)
+
+
+def _store(
+    accepted: list[Outcome],
+    recordings: dict[str, Recording],
+    sides: dict[str, str],
+    out: Path,
+) -> tuple[tuple[BuiltClip, ...], str]:
+    """Write the clips into their splits; also returns the hash of their motions."""
     _remove_earlier(out)
     built, motions = [], []
-    for outcome, take in zip(accepted, takes, strict=True):
+    for outcome in accepted:
         clip = load_clip(outcome.clip_path)
         given = outcome.job.info
         clip = replace(clip, info=replace(given, fps=clip.info.fps))
-        split = sides[take.name]
-        relative = f"{split}/{take.name.replace('/', '__')}.npz"
+        split = sides[given.name]
+        relative = f"{split}/{given.name.replace('/', '__')}.npz"
         save_clip(clip, out / relative)
         sha256 = hashlib.sha256((out / relative).read_bytes()).hexdigest()
         assert outcome.quality is not None
         motions.append(clip)
+        performance = recordings[given.name].performance
         built.append(
-            BuiltClip(
-                clip.info, split, relative, take.performance, sha256, outcome.quality
-            )
+            BuiltClip(clip.info, split, relative, performance, sha256, outcome.quality)
         )
     return tuple(sorted(built, key=lambda item: item.path)), clip_hash(motions)
 
@@ -248,6 +258,7 @@ def _write_tables(made: Build, out: Path, sources: Sequence[Path]) -> None:
         "rejects": len(made.rejects),
         "seconds": round(made.seconds, 2),
         "config": asdict(made.config),
+        "moved": [asdict(item) for item in made.moved],
         "sources": [os.path.relpath(source, out) for source in sources],
     }
     text = json.dumps(settings, indent=2, allow_nan=False) + "\n"

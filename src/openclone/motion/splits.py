@@ -82,16 +82,59 @@ def assign(takes: Sequence[Take], seed: int, dev_share: float) -> dict[str, str]
     return {t.name: DEV if t.performance in held_out else TRAIN for t in takes}
 
 
-def keep(takes: Sequence[Take]) -> dict[str, str]:
-    """Name -> split as given, except that a performance follows most of its time."""
+@dataclass(frozen=True)
+class Moved:
+    """A take that is not on the side that it was given.
+
+    Attributes:
+        name: of the take.
+        performance: what it is a take of.
+        given, split: the side it was given, and the one it is on.
+    """
+
+    name: str
+    performance: str
+    given: str
+    split: str
+
+    def __str__(self) -> str:
+        """One line for people."""
+        return (
+            f"{self.name} is in {self.split}, not in {self.given}: other takes of the "
+            f"performance {self.performance!r} are held out"
+        )
+
+
+def settle(
+    takes: Sequence[Take], seed: int, dev_share: float
+) -> tuple[dict[str, str], tuple[Moved, ...]]:
+    """Name -> split: as given where one is given, else as `assign` says.
+
+    What was held out never gets into training: a performance with takes on both sides
+    is held out as a whole.
+
+    Returns:
+        The splits, and the takes that had to move.
+    """
     sides: dict[str, str] = {}
-    for members in _grouped(takes).values():
+    moved: list[Moved] = []
+    free: list[Take] = []
+    for performance, members in _grouped(takes).items():
         seconds: dict[str, float] = defaultdict(float)
         for take in members:
-            seconds[take.split or TRAIN] += take.seconds
-        side = max(sorted(seconds), key=lambda name: seconds[name])
-        sides.update((take.name, side) for take in members)
-    return sides
+            if take.split:
+                seconds[take.split] += take.seconds
+        if not seconds:
+            free += members
+            continue
+        held_out = sorted(set(seconds) - {TRAIN}) or [TRAIN]
+        side = max(held_out, key=lambda name: seconds[name])
+        for take in members:
+            sides[take.name] = side
+            if take.split not in ("", side):
+                moved.append(Moved(take.name, performance, take.split, side))
+    sides.update(assign(free, seed, dev_share))
+    return sides, tuple(sorted(moved, key=lambda item: item.name))
 
 
 def _grouped(takes: Sequence[Take]) -> dict[str, list[Take]]:
