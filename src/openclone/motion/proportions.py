@@ -38,6 +38,7 @@ class RetargetConfig:
             human foot, whose toes bend, would drag the robot's stiff sole.
         least_width: metres between the feet across the heading; 0: they may come as
             near as they like, but not cross.
+        most_shift: metres that the centre of mass moves aside for balance; 0: off.
         solves: IK steps per frame, at most.
         first_solves: IK steps for the first frame.
         converged: radians; smaller steps end a frame early.
@@ -52,6 +53,7 @@ class RetargetConfig:
     clearance: float = 0.005
     swing_clearance: float = 0.05
     least_width: float = 0.16
+    most_shift: float = 0.15
     solves: int = 4
     first_solves: int = 120
     converged: float = 0.002

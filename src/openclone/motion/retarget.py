@@ -18,7 +18,7 @@ from openclone.robot import g1
 from openclone.robot.model import SOLE_CORNERS, build_model
 from openclone.spatial import rotations
 
-VERSION = 14
+VERSION = 15
 """Raise when the output changes: cached clips of older versions are made again."""
 
 _ARM = ("elbow_yaw", "wrist", "hand")

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from openclone.motion.balance import balancing_shift
 from openclone.motion.contacts import (
     foot_contacts,
     ground_level,
@@ -34,6 +35,7 @@ from openclone.motion.reach import (
     within_waist,
 )
 from openclone.motion.skeleton import SIDES, HumanMotion, operator_points
+from openclone.robot.model import SOLE_CORNERS
 from openclone.spatial import rotations
 
 
@@ -66,7 +68,7 @@ def _direction(motion: HumanMotion, start: str, end: str, sigma: float) -> np.nd
 
 
 def make_targets(motion: HumanMotion, config: RetargetConfig) -> Targets:
-    """Scale ``motion`` (at `FPS`) to the G1 and lock its standing feet."""
+    """Scale ``motion`` (at `FPS`) to the G1, plant its feet and balance it."""
     sigma = config.smooth_s * FPS
     motion = level_ground(motion)
     contact = foot_contacts(motion)
@@ -79,6 +81,13 @@ def make_targets(motion: HumanMotion, config: RetargetConfig) -> Targets:
     pelvis[:, 2] = _soft_floor(pelvis[:, 2], config.lowest_pelvis)
     feet = foot_targets(motion, contact, scale, config)
     pelvis += _fit_squat(pelvis, pelvis_quat, feet, config)
+    arms = _arms(motion, torso_quat, sigma)
+    if config.most_shift > 0:
+        com = _centre_of_mass(pelvis, pelvis_quat, torso_quat, feet, arms)
+        soles = [_sole_corners(*foot) for foot in feet]
+        pelvis[:, :2] += _COM_GAIN * balancing_shift(
+            com, np.stack(soles, axis=1), contact, FPS, config.most_shift
+        )
     pelvis[:, 2] -= _reach_drop(pelvis, pelvis_quat, [foot[0] for foot in feet], config)
     torso = pelvis + rotations.rotate(pelvis_quat, TORSO)
     position = {"pelvis": pelvis}
@@ -87,15 +96,67 @@ def make_targets(motion: HumanMotion, config: RetargetConfig) -> Targets:
     for index, side in enumerate(SIDES):
         ankle = f"{side}_ankle_roll_link"
         position[ankle], quat[ankle] = feet[index]
+        position[f"{side}_elbow_link"] = torso + arms[index][1]
+        position[f"{side}_wrist_yaw_link"] = torso + arms[index][2]
+        quat[f"{side}_wrist_yaw_link"] = hands[:, index]
+    return Targets(position, quat, contact)
+
+
+_Arm = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+def _arms(motion: HumanMotion, torso_quat: np.ndarray, sigma: float) -> list[_Arm]:
+    """Shoulder, elbow and wrist (T, 3) of both arms from the torso, metres, world."""
+    arms = []
+    for index, side in enumerate(SIDES):
         mirrored = SHOULDER * np.array([1.0, 1.0 - 2.0 * index, 1.0])
-        shoulder = torso + rotations.rotate(torso_quat, mirrored)
+        shoulder = rotations.rotate(torso_quat, mirrored)
         upper = _direction(motion, f"{side}_shoulder", f"{side}_elbow", sigma)
         fore = _direction(motion, f"{side}_elbow", f"{side}_wrist", sigma)
         elbow = shoulder + UPPER_ARM * upper
-        position[f"{side}_elbow_link"] = elbow
-        position[f"{side}_wrist_yaw_link"] = elbow + FOREARM * fore
-        quat[f"{side}_wrist_yaw_link"] = hands[:, index]
-    return Targets(position, quat, contact)
+        arms.append((shoulder, elbow, elbow + FOREARM * fore))
+    return arms
+
+
+_MASSES = {"pelvis": 3.8, "torso": 8.1, "upper arm": 2.1, "forearm": 1.4, "leg": 7.2}
+"""Kilograms, of the G1's model; arms and legs one side."""
+_PELVIS_CENTRE, _TORSO_CENTRE = (0.0, 0.0, -0.076), (0.0, 0.0, 0.18)
+"""Metres; centres of mass in the frames of the links."""
+_LEG_CENTRE = 0.41
+"""The leg's centre of mass, as a share of the way from hip to ankle."""
+_COM_GAIN = 1.2
+"""Metres of pelvis per metre of centre of mass: the feet stay where they are."""
+
+
+def _centre_of_mass(
+    pelvis: np.ndarray,
+    pelvis_quat: np.ndarray,
+    torso_quat: np.ndarray,
+    feet: list[tuple[np.ndarray, np.ndarray]],
+    arms: list[_Arm],
+) -> np.ndarray:
+    """(T, 3), metres, world, before any inverse kinematics."""
+    torso = pelvis + rotations.rotate(pelvis_quat, TORSO)
+    parts = [
+        ("pelvis", pelvis + rotations.rotate(pelvis_quat, np.array(_PELVIS_CENTRE))),
+        ("torso", torso + rotations.rotate(torso_quat, np.array(_TORSO_CENTRE))),
+    ]
+    for sign, (ankle, _), (shoulder, elbow, wrist) in zip(
+        (1.0, -1.0), feet, arms, strict=True
+    ):
+        offset = np.array([0.0, sign * HIP_HALF_WIDTH, HIP_HEIGHT])
+        hip = pelvis + rotations.rotate(pelvis_quat, offset)
+        parts.append(("leg", hip + _LEG_CENTRE * (ankle - hip)))
+        parts.append(("upper arm", torso + 0.5 * (shoulder + elbow)))
+        parts.append(("forearm", torso + 0.5 * (elbow + wrist)))
+    total = sum(_MASSES[name] for name, _ in parts)
+    return np.sum([_MASSES[name] * place for name, place in parts], axis=0) / total
+
+
+def _sole_corners(position: np.ndarray, quat: np.ndarray) -> np.ndarray:
+    """(T, 4, 2) corners of a sole, metres, world."""
+    corners = position[:, None] + rotations.rotate(quat[:, None], SOLE_CORNERS[None])
+    return corners[..., :2]
 
 
 def _attitudes(
