@@ -18,7 +18,7 @@ from openclone.robot import g1
 from openclone.robot.model import SOLE_CORNERS, build_model
 from openclone.spatial import rotations
 
-VERSION = 15
+VERSION = 16
 """Raise when the output changes: cached clips of older versions are made again."""
 
 _ARM = ("elbow_yaw", "wrist", "hand")
@@ -41,8 +41,9 @@ _COSTS: dict[str, tuple[_Weight, _Weight]] = {
     "pelvis": (40.0, 6.0),
     "torso_link": (0.0, 5.0),
     # The ankles roll by 15 degrees at most: a straddling leg tilts its foot instead of
-    # leaving its place.
-    **{f"{side}_ankle_roll_link": (200.0, (4.0, 20.0, 10.0)) for side in SIDES},
+    # leaving its place. Where a hip cannot turn far enough, the foot turns on the spot
+    # rather than throw the pelvis aside.
+    **{f"{side}_ankle_roll_link": (200.0, (4.0, 20.0, 4.0)) for side in SIDES},
     **{f"{side}_elbow_link": (4.0, 0.0) for side in SIDES},
     **{f"{side}_wrist_yaw_link": (8.0, 0.6) for side in SIDES},
 }
