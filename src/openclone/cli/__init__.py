@@ -17,6 +17,8 @@ from openclone.cli.facts import policy_info, robot_joints, version
 from openclone.cli.learning import train_plan, train_student, train_teacher
 from openclone.cli.measuring import (
     evaluate_odometry,
+    evaluate_pushes,
+    evaluate_squat,
     evaluate_standing,
     evaluate_tracking,
 )
@@ -36,6 +38,8 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "view": view,
     "evaluate tracking": evaluate_tracking,
     "evaluate standing": evaluate_standing,
+    "evaluate squat": evaluate_squat,
+    "evaluate pushes": evaluate_pushes,
     "evaluate odometry": evaluate_odometry,
     "train teacher": train_teacher,
     "train student": train_student,

@@ -1,11 +1,13 @@
-"""Commands that measure: evaluate tracking, evaluate standing, evaluate odometry."""
+"""Commands that measure the policy and the odometry: ``openclone evaluate ...``."""
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from openclone.cli.options import (
+    category_names,
     load_clips,
     positive,
     print_figures,
@@ -15,6 +17,8 @@ from openclone.cli.options import (
 
 if TYPE_CHECKING:
     from openclone.evaluation.tracking import ClipResult, TrackingReport
+    from openclone.motion.clip import Clip
+    from openclone.policy.bundle import Bundle
 
 _HELD_OUT_SEED = 30_000
 """Synthetic motions for evaluation; the shipped weights saw the seeds 0 and 1."""
@@ -26,13 +30,43 @@ def _print_clip(number: int, count: int, name: str, result: ClipResult) -> None:
     print(f"[{number}/{count}] {name}: {outcome}")
 
 
-def _print_tracking(report: TrackingReport) -> None:
-    from openclone.evaluation.report import COLUMNS, table_row
+def _left_out(motions: Path, split: str, categories: str, run: set[str]) -> dict:
+    """Category by name of the manifest's recordings that are not in ``run``."""
+    from openclone.motion import library
 
-    rows = [*report.categories.items(), ("all", report.overall)]
-    print(f"{'':14}" + "".join(f"{name:>14}" for name in COLUMNS))
-    for name, metrics in rows:
-        print(f"{name:14}" + "".join(f"{text:>14}" for text in table_row(metrics)))
+    if not (motions / library.MANIFEST).is_file():
+        return {}
+    wanted = category_names(categories)
+    return {
+        entry.name: entry.category
+        for entry in library.read_manifest(motions)
+        if entry.split == split
+        and entry.name not in run
+        and (wanted is None or entry.category in wanted)
+    }
+
+
+def _over_seeds(
+    clips: list[Clip], bundle: Bundle, noise: bool, seed: int, seeds: int
+) -> TrackingReport:
+    """Run ``clips`` with the odometry seeds ``seed``, ``seed + 1``, ..."""
+    from openclone.evaluation import tracking
+
+    reports = []
+    # Without odometry error all runs would be the same.
+    for number in range(seeds if noise else 1):
+        if seeds > 1:
+            print(f"odometry seed {seed + number}")
+        reports.append(
+            tracking.evaluate_tracking(
+                clips,
+                bundle,
+                noise=tracking.DEFAULT_NOISE if noise else None,
+                seed=seed + number,
+                progress=_print_clip,
+            )
+        )
+    return tracking.over_seeds(reports)
 
 
 def evaluate_tracking(
@@ -43,6 +77,7 @@ def evaluate_tracking(
     policy: Path | None = None,
     noise: bool = True,
     seed: int = 0,
+    seeds: int = 1,
     json: Path | None = None,
     out: Path | None = None,
 ) -> None:
@@ -56,31 +91,42 @@ def evaluate_tracking(
         policy: policy bundle; the packaged student by default.
         noise: add the odometry error of Eq. 2.
         seed: of the odometry error.
+        seeds: run all motions this often, with the seeds SEED, SEED + 1, ..., and give
+            mean and standard deviation.
         json: write the figures to this file.
         out: write a report with plots to this folder.
     """
-    from openclone.evaluation import tracking
     from openclone.evaluation.report import Report, write_report
+    from openclone.evaluation.tracking_table import TrackingSetup, figures, text_table
+    from openclone.motion.clip import CATEGORIES
     from openclone.policy.bundle import load_bundle
+
+    positive("--seeds", seeds)
 
     bundle = load_bundle(policy)
     if motions is None:
         clips = synthetic_clips(_HELD_OUT_SEED, 2.0, categories)
     else:
         clips = load_clips((motions,), split, categories)
-    report = tracking.evaluate_tracking(
-        clips,
-        bundle,
-        noise=tracking.DEFAULT_NOISE if noise else None,
-        seed=seed,
-        progress=_print_clip,
+    left_out = {}
+    if motions is not None:
+        names = {clip.info.name for clip in clips}
+        left_out = _left_out(motions, split, categories, names)
+    report = _over_seeds(clips, bundle, noise, seed, seeds)
+    setup = TrackingSetup(
+        split if motions else "",
+        category_names(categories) or CATEGORIES,
+        left_out,
+        noise,
     )
-    _print_tracking(report)
-    write_figures(json, report.to_json())
+    print(text_table(report, setup))
+    write_figures(json, figures(report, setup))
     if out is not None:
         data = f"{motions}, split {split}" if motions else "synthetic motions"
         intro = f"Policy {bundle.info.name} on {data}, {len(clips)} clips."
-        page = write_report(Report("Tracking of reference motions", intro, report), out)
+        page = write_report(
+            Report("Tracking of reference motions", intro, report, setup=setup), out
+        )
         print(f"report: {page}")
 
 
@@ -105,6 +151,7 @@ def evaluate_standing(
     from openclone.policy.bundle import load_bundle
 
     positive("--seconds", seconds)
+    began = time.process_time()
     report = standing.evaluate_standing(
         load_bundle(policy),
         seconds=seconds,
@@ -112,7 +159,96 @@ def evaluate_standing(
         seed=seed,
     )
     print_figures(report.to_json())
+    spent = time.process_time() - began
+    print(f"{report.seconds:.0f} s of standing in {spent:.1f} s of processor time")
     write_figures(json, report.to_json())
+
+
+def evaluate_squat(
+    *,
+    trials: int = 10,
+    policy: Path | None = None,
+    noise: bool = True,
+    seed: int = 0,
+    json: Path | None = None,
+    out: Path | None = None,
+) -> None:
+    """Squat to head heights of 1.2 to 0.6 m and come up again (Fig. 3).
+
+    Args:
+        trials: per height, each with its own pace, arms and odometry error.
+        policy: policy bundle; the packaged student by default.
+        noise: add the odometry error of Eq. 2.
+        seed: of all that is drawn.
+        json: write the figures to this file.
+        out: write a report with plots to this folder.
+    """
+    from openclone.evaluation import squat
+    from openclone.evaluation.experiment_report import squat_text, write_squat_report
+    from openclone.policy.bundle import load_bundle
+
+    positive("--trials", trials)
+    bundle = load_bundle(policy)
+    report = squat.evaluate_squat(
+        bundle,
+        trials=trials,
+        noise=squat.DEFAULT_NOISE if noise else None,
+        seed=seed,
+        progress=lambda level: print(
+            f"{level.target_m:.2f} m: SR {level.sr:.0f} %, "
+            f"low enough {level.reached:.0f} %"
+        ),
+    )
+    print(squat_text(report))
+    write_figures(json, report.to_json())
+    if out is not None:
+        intro = f"Policy {bundle.info.name}, {trials} squats to each height."
+        print(f"report: {write_squat_report(report, intro, out)}")
+
+
+def evaluate_pushes(
+    *,
+    pushes: int = 100,
+    speed: float = 1.5,
+    policy: Path | None = None,
+    noise: bool = True,
+    seed: int = 0,
+    json: Path | None = None,
+    out: Path | None = None,
+) -> None:
+    """Push the standing and the walking robot (Table A2); count the falls.
+
+    Args:
+        pushes: how many under each condition: still operator, walking operator.
+        speed: m/s, largest change of velocity along each horizontal axis.
+        policy: policy bundle; the packaged student by default.
+        noise: add the odometry error of Eq. 2.
+        seed: of times, directions and odometry errors.
+        json: write the figures to this file.
+        out: write a report with plots to this folder.
+    """
+    from openclone.evaluation import pushes as measuring
+    from openclone.evaluation.experiment_report import push_text, write_push_report
+    from openclone.policy.bundle import load_bundle
+
+    positive("--pushes", pushes)
+    positive("--speed", speed)
+    bundle = load_bundle(policy)
+    report = measuring.evaluate_pushes(
+        bundle,
+        count=pushes,
+        config=measuring.PushConfig(speed=speed),
+        noise=measuring.DEFAULT_NOISE if noise else None,
+        seed=seed,
+        progress=lambda name, result: print(
+            f"{name}: {result.falls} of {len(result.pushes)} pushes ended in a fall"
+        ),
+    )
+    print(push_text(report))
+    write_figures(json, report.to_json())
+    if out is not None:
+        intro = f"Policy {bundle.info.name}, {pushes} pushes under each condition."
+        print(f"report: {write_push_report(report, intro, out)}")
 
 
 def evaluate_odometry(

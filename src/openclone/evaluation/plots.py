@@ -51,7 +51,7 @@ def category_bars(categories: Mapping[str, Metrics], paper_mm: float) -> bytes:
         right.axvline(paper_mm, color=LIMIT, ls="--", lw=1, label="paper's MPKPE")
         right.set(xlabel="position error, mm")
         right.legend(frameon=False, loc="lower right")
-        _tidy(left, right)
+        tidy(left, right)
 
     return render(draw, 8.5, 1.2 + 0.34 * len(names))
 
@@ -81,7 +81,7 @@ def paths(clips: Mapping[str, ClipResult]) -> bytes:
             axes.set_title(name, fontsize=8)
             axes.set_aspect("equal", adjustable="datalim")
             axes.tick_params(labelsize=7)
-            _tidy(axes)
+            tidy(axes)
         grid[0, 0].legend(frameon=False, fontsize=7)
         figure.supxlabel("x, m", fontsize=8)
         figure.supylabel("y, m", fontsize=8)
@@ -101,7 +101,7 @@ def error_over_time(clips: Mapping[str, ClipResult], period: float) -> bytes:
             if result.metrics.sr < 1:
                 axes.plot(time_s[-1], result.error_mm[-1], "x", color=LIMIT, mew=2)
         axes.set(xlabel="time, s", ylabel="position error, mm", ylim=(0, None))
-        _tidy(axes)
+        tidy(axes)
 
     return render(draw, 8.5, 2.8)
 
@@ -121,12 +121,13 @@ def tick_histogram(ticks_ms: np.ndarray, deadline_ms: float) -> bytes:
             yscale="log",
         )
         axes.legend(frameon=False)
-        _tidy(axes)
+        tidy(axes)
 
     return render(draw, 8.5, 2.4)
 
 
-def _tidy(*all_axes: object) -> None:
+def tidy(*all_axes: object) -> None:
+    """Take away what does not carry data from ``all_axes``."""
     for axes in all_axes:
         axes.spines[["top", "right"]].set_visible(False)  # type: ignore[attr-defined]
         axes.grid(alpha=0.25, lw=0.6)  # type: ignore[attr-defined]

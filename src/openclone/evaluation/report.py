@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import json
 from dataclasses import dataclass, field
 from html import escape
@@ -10,17 +9,20 @@ from pathlib import Path
 
 import numpy as np
 
-from openclone.evaluation.metrics import Metrics
+from openclone.evaluation.page import page, picture, table
 from openclone.evaluation.tracking import TrackingReport
+from openclone.evaluation.tracking_table import COLUMNS as COLUMNS
+from openclone.evaluation.tracking_table import (
+    HEAD,
+    PAPER_ROWS,
+    TrackingSetup,
+    category_rows,
+    comparison_rows,
+)
+from openclone.evaluation.tracking_table import figures as tracking_figures
+from openclone.evaluation.tracking_table import table_row as table_row
 from openclone.robot.model import CONTROL_PERIOD
 
-PAPER_ROWS = (
-    ("CLONE, MLP student", 100.0, 113.97, 35.55, 245.11, 4.73),
-    ("CLONE, OmniH2O data", 100.0, 102.20, 41.07, 309.65, 4.61),
-    ("CLONE", 100.0, 87.84, 33.30, 227.17, 3.61),
-)
-"""Table 1 of the paper: SR %, MPKPE mm, R-MPKPE mm, E_vel mm/s, E_hand x 100."""
-COLUMNS = ("SR, %", "MPKPE, mm", "R-MPKPE, mm", "E_vel, mm/s", "E_hand x 100")
 _PAPER_MPKPE_MM = PAPER_ROWS[-1][2]
 
 
@@ -35,6 +37,7 @@ class Report:
         facts: label and value, e.g. of the control loop; shown as a table.
         ticks_ms: durations of the loop's ticks, if a loop ran.
         notes: things that did not work or that limit what the figures say.
+        setup: how a data set was run; adds the table by category.
     """
 
     title: str
@@ -43,17 +46,7 @@ class Report:
     facts: tuple[tuple[str, str], ...] = ()
     ticks_ms: np.ndarray | None = None
     notes: tuple[str, ...] = field(default=())
-
-
-def table_row(metrics: Metrics) -> tuple[str, ...]:
-    """The five figures of section 4.1 as printed, in the order of `COLUMNS`."""
-    return (
-        f"{100 * metrics.sr:.0f}",
-        f"{metrics.mpkpe_mm:.1f}",
-        f"{metrics.r_mpkpe_mm:.1f}",
-        f"{metrics.e_vel_mm_s:.0f}",
-        f"{metrics.e_hand_x100:.2f}",
-    )
+    setup: TrackingSetup | None = None
 
 
 def write_json(data: dict[str, object], path: Path) -> None:
@@ -70,10 +63,13 @@ def write_report(report: Report, folder: Path) -> Path:
     Returns:
         The path of ``report.html``.
     """
-    write_json(report.tracking.to_json(), folder / "metrics.json")
-    page = folder / "report.html"
-    page.write_text(_page(report, folder), encoding="utf-8")
-    return page
+    figures = report.tracking.to_json()
+    if report.setup is not None:
+        figures = tracking_figures(report.tracking, report.setup)
+    write_json(figures, folder / "metrics.json")
+    file = folder / "report.html"
+    file.write_text(_page(report, folder), encoding="utf-8")
+    return file
 
 
 def _page(report: Report, folder: Path) -> str:
@@ -92,20 +88,34 @@ def _page(report: Report, folder: Path) -> str:
     parts += [f"<p class=note>{escape(note)}</p>" for note in report.notes]
     categories = tracking.categories
     bars = plots.category_bars(categories, _PAPER_MPKPE_MM)
-    parts += ["<h2>By category</h2>", _inline(bars, "errors by category")]
+    parts += ["<h2>By category</h2>", picture(bars, "errors by category")]
+    if report.setup is not None:
+        parts += _category_table(tracking, report.setup)
     from_above = plots.paths(tracking.clips)
-    parts += ["<h2>Head paths from above</h2>", _inline(from_above, "paths")]
+    parts += ["<h2>Head paths from above</h2>", picture(from_above, "paths")]
     over_time = plots.error_over_time(tracking.clips, CONTROL_PERIOD)
-    parts += ["<h2>Error over time</h2>", _inline(over_time, "error over time")]
+    parts += ["<h2>Error over time</h2>", picture(over_time, "error over time")]
     if report.facts or report.ticks_ms is not None:
         parts.append("<h2>Control loop</h2>")
-        parts.append(_table(("", ""), list(report.facts)))
+        parts.append(table(("", ""), list(report.facts)))
     if report.ticks_ms is not None:
         ticks = plots.tick_histogram(report.ticks_ms, 1000 * CONTROL_PERIOD)
-        parts.append(_inline(ticks, "tick durations"))
+        parts.append(picture(ticks, "tick durations"))
     parts += ["<h2>Clips</h2>", _clip_table(tracking)]
-    title = escape(report.title)
-    return _SKELETON.format(title=title, body="\n".join(parts))
+    return page(report.title, parts)
+
+
+def _category_table(tracking: TrackingReport, setup: TrackingSetup) -> list[str]:
+    rows = [*category_rows(tracking, setup), *comparison_rows(tracking, setup)]
+    conditions = escape(setup.conditions(tracking.num_seeds))
+    parts = [f"<p class=small>{conditions}</p>", table(("", *HEAD), rows)]
+    if setup.left_out:
+        names = ", ".join(sorted(setup.left_out))
+        parts.append(
+            "<p class=small>Left out, because the retargeting could not make a sound "
+            f"motion of the G1 of them: {escape(names)}.</p>"
+        )
+    return parts
 
 
 def _metric_table(tracking: TrackingReport) -> str:
@@ -119,7 +129,7 @@ def _metric_table(tracking: TrackingReport) -> str:
         "<p class=small>The paper's figures (Table 1) were measured on its own motions "
         "and simulator: they show the scale, not a contest.</p>"
     )
-    return _table(head, [ours, *paper], first_bold=True) + text
+    return table(head, [ours, *paper], first_bold=True) + text
 
 
 def _clip_table(tracking: TrackingReport) -> str:
@@ -134,41 +144,4 @@ def _clip_table(tracking: TrackingReport) -> str:
         for name, result in tracking.clips.items()
     ]
     head = ("clip", "category", "s", *COLUMNS, "final drift, mm")
-    return _table(head, rows)
-
-
-def _table(
-    head: tuple[str, ...], rows: list[tuple[str, ...]], first_bold: bool = False
-) -> str:
-    def cells(row: tuple[str, ...], tag: str) -> str:
-        return "".join(f"<{tag}>{escape(cell)}</{tag}>" for cell in row)
-
-    lines = [f"<tr>{cells(head, 'th')}</tr>"] if any(head) else []
-    for index, row in enumerate(rows):
-        style = " class=ours" if first_bold and index == 0 else ""
-        lines.append(f"<tr{style}>{cells(row, 'td')}</tr>")
-    return f"<table>{''.join(lines)}</table>"
-
-
-def _inline(png: bytes, alt: str) -> str:
-    data = base64.b64encode(png).decode()
-    return f'<img alt="{escape(alt)}" src="data:image/png;base64,{data}">'
-
-
-_SKELETON = """<!doctype html>
-<html lang="en"><head><meta charset="utf-8"><title>{title}</title>
-<meta name="viewport" content="width=device-width, initial-scale=1"><style>
-body {{ font: 15px/1.5 system-ui, sans-serif; max-width: 900px; margin: 2rem auto;
-  padding: 0 1rem; color: #1f2328; }}
-h1 {{ font-size: 1.6rem; }} h2 {{ font-size: 1.15rem; margin-top: 2rem; }}
-table {{ border-collapse: collapse; width: 100%; margin: 1rem 0; font-size: 13px; }}
-th, td {{ text-align: right; padding: .3rem .6rem; border-bottom: 1px solid #d1d9e0; }}
-th:first-child, td:first-child {{ text-align: left; }}
-.ours {{ font-weight: 600; background: #ddf4ff; }}
-.small {{ color: #59636e; font-size: 13px; }}
-.note {{ border-left: 3px solid #d1242f; padding-left: .7rem; }}
-img, video {{ max-width: 100%; height: auto; }} video {{ width: 640px; }}
-</style></head><body>
-{body}
-</body></html>
-"""
+    return table(head, rows)

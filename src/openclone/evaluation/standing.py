@@ -31,6 +31,7 @@ class StandingReport:
     Attributes:
         seconds: how long it stood, until the end or a fall.
         fell: whether it fell.
+        falls: the same as a number.
         steps: times a foot left the ground for 40 ms or more, from the first instant.
         sway_mm: largest horizontal distance of head or pelvis from its mean place.
         drift_mm: horizontal distance of the head from its target at the end.
@@ -39,6 +40,7 @@ class StandingReport:
 
     seconds: float
     fell: bool
+    falls: int
     steps: int
     sway_mm: float
     drift_mm: float
@@ -83,6 +85,7 @@ def evaluate_standing(
     return StandingReport(
         seconds=len(trace.position) * CONTROL_PERIOD,
         fell=trace.fell,
+        falls=int(trace.fell),
         steps=metrics.count_steps(trace.contact),
         sway_mm=metrics.sway(both),
         drift_mm=metrics.measure(trace).drift_mm,

@@ -8,8 +8,9 @@ calibration and no safety machine stand in between: this measures the policy.
 from __future__ import annotations
 
 import zlib
+from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -68,9 +69,15 @@ def clip_result(
 
 @dataclass(frozen=True)
 class TrackingReport:
-    """Results by clip name, and their means."""
+    """Results by clip name, and their means.
+
+    Attributes:
+        clips: by name; over several odometry seeds, their means.
+        by_seed: one report for each odometry seed, if there were several.
+    """
 
     clips: dict[str, ClipResult]
+    by_seed: tuple[TrackingReport, ...] = ()
 
     @property
     def overall(self) -> Metrics:
@@ -85,15 +92,70 @@ class TrackingReport:
             groups.setdefault(result.category, []).append(result.metrics)
         return {name: metrics.average(group) for name, group in sorted(groups.items())}
 
+    @property
+    def num_seeds(self) -> int:
+        """How many odometry seeds the means are over."""
+        return max(1, len(self.by_seed))
+
+    @property
+    def spread(self) -> Metrics | None:
+        """Standard deviation of `overall` over the seeds; None for a single one."""
+        return _spread([report.overall for report in self.by_seed])
+
+    @property
+    def category_spreads(self) -> dict[str, Metrics]:
+        """The same of `categories`; empty for a single seed."""
+        groups = [report.categories for report in self.by_seed]
+        names = groups[0] if len(groups) > 1 else ()
+        found = {name: _spread([group[name] for group in groups]) for name in names}
+        return {name: spread for name, spread in found.items() if spread is not None}
+
     def to_json(self) -> dict[str, object]:
-        """Top-level metrics, ``categories`` and ``clips``."""
-        groups = {name: mean.to_json() for name, mean in self.categories.items()}
+        """Top-level metrics, ``categories`` and ``clips``; ``spread`` over seeds."""
+        counts = Counter(result.category for result in self.clips.values())
+        groups: dict[str, dict[str, object]] = {
+            name: {"num_clips": counts[name], **mean.to_json()}
+            for name, mean in self.categories.items()
+        }
+        for name, spread in self.category_spreads.items():
+            groups[name]["spread"] = spread.to_json()
         clips = {
             name: {"category": result.category, **result.metrics.to_json()}
             for name, result in self.clips.items()
         }
-        top = {"num_clips": len(clips), **self.overall.to_json()}
+        top: dict[str, object] = {"num_clips": len(clips), "num_seeds": self.num_seeds}
+        top |= self.overall.to_json()
+        if self.spread is not None:
+            top["spread"] = self.spread.to_json()
+            top["by_seed"] = [report.overall.to_json() for report in self.by_seed]
         return {**top, "categories": groups, "clips": clips}
+
+
+def _spread(results: Sequence[Metrics]) -> Metrics | None:
+    """Standard deviation of each metric over at least two ``results``."""
+    if len(results) < 2:
+        return None
+    values = {
+        field.name: np.array([getattr(result, field.name) for result in results])
+        for field in fields(Metrics)
+    }
+    return Metrics(**{name: float(v.std(ddof=1)) for name, v in values.items()})
+
+
+def over_seeds(reports: Sequence[TrackingReport]) -> TrackingReport:
+    """Means over reports of the same clips with different odometry seeds.
+
+    The curves of a clip are those of its first failure, or else of the first seed.
+    """
+    if len(reports) == 1:
+        return reports[0]
+    clips: dict[str, ClipResult] = {}
+    for name in reports[0].clips:
+        runs = [report.clips[name] for report in reports]
+        shown = next((run for run in runs if run.metrics.sr < 1.0), runs[0])
+        mean = metrics.average([run.metrics for run in runs])
+        clips[name] = replace(shown, metrics=mean)
+    return TrackingReport(clips, tuple(reports))
 
 
 def evaluate_tracking(
