@@ -5,12 +5,14 @@ Single-threaded and without any idea of streams; `fast_lio` feeds it.
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass, field, replace
 from enum import Enum
 
 import numpy as np
 
 from openclone.odometry import manifold as m
+from openclone.odometry.clock_offset import LidarTurn
 from openclone.odometry.filter import (
     ImuNoise,
     apply_step,
@@ -20,6 +22,11 @@ from openclone.odometry.filter import (
 from openclone.odometry.matching import OUTLIER, Evidence, MatchConfig, Matcher
 from openclone.odometry.scan import Scan, ScanConfig, Thinned, prepare
 from openclone.odometry.voxel_map import MapConfig, VoxelMap
+
+DISTRUST, DISTRUST_ARM_M = 2.0, 0.3
+"""Deviation of a doubtful prediction over the mismatch; metres for its position."""
+MISMATCH_SCANS = 3
+"""Scans over which disagreement about the rotation is averaged."""
 
 
 class Verdict(Enum):
@@ -45,6 +52,8 @@ class UpdateConfig:
         min_agreement: share of matches among planes below which it is not used.
         good_agreement: the same, below which it is not mapped.
         max_surprise: correction in standard deviations above which it is not mapped.
+        max_mismatch: rad between the turns of LiDAR and IMU from scan to scan, above
+            which one of them is wrong: then the IMU is trusted less.
     """
 
     iterations: int = 4
@@ -56,6 +65,7 @@ class UpdateConfig:
     min_agreement: float = 0.3
     good_agreement: float = 0.55
     max_surprise: float = 8.0
+    max_mismatch: float = 0.006
 
 
 @dataclass(frozen=True)
@@ -106,9 +116,10 @@ class ScanReport:
         weakest_direction: (3,), world, unit.
         weakest_turn: rad, the same of the rotation.
         rejected: points with NaN or infinite coordinates.
-        turn_error: (3,), rad, rotation since the scan before that LiDAR alone saw
-            beyond the IMU's; IMU frame.
-        rate_change: (3,), rad/s, change of the rotation rate in that time.
+        mismatch: rad, root mean square difference of what LiDAR and IMU say about the
+            rotations between the newest scans.
+        agrees: whether it is small.
+        turn: how LiDAR alone sees the sensor turned, if the scan was used.
     """
 
     verdict: Verdict
@@ -121,8 +132,9 @@ class ScanReport:
     weakest_direction: np.ndarray = field(default_factory=lambda: np.zeros(3))
     weakest_turn: float = np.inf
     rejected: int = 0
-    turn_error: np.ndarray = field(default_factory=lambda: np.zeros(3))
-    rate_change: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    mismatch: float = 0.0
+    agrees: bool = True
+    turn: LidarTurn | None = None
 
 
 def weakest(information: np.ndarray) -> tuple[float, np.ndarray, float]:
@@ -145,6 +157,18 @@ def lidar_turn(evidence: Evidence) -> np.ndarray:
     """Rotation ``(3,)`` to the best fit of the scan alone, without any prior."""
     information = evidence.information[:6, :6] + np.diag((1.0,) * 3 + (1e2,) * 3)
     return -np.linalg.solve(information, evidence.gradient[:6])[:3]
+
+
+def turn_since(interval: Interval, stamp_ns: int, bias: np.ndarray) -> np.ndarray:
+    """Rotation ``(3, 3)`` from a stamp to the interval's end, by the gyroscope."""
+    begin = (stamp_ns - interval.start_ns) * 1e-9
+    rot, times = np.eye(3), interval.times
+    for k in range(len(times) - 1):
+        period = times[k + 1] - max(times[k], begin)
+        if period > 0.0:
+            rate = 0.5 * (interval.gyro[k] + interval.gyro[k + 1]) - bias
+            rot = rot @ m.exp_rotation(rate * period)
+    return rot
 
 
 def tilt_evidence(
@@ -176,7 +200,9 @@ class Estimator:
         self.state, self.covariance = state, covariance
         self.map = world
         self._noise = config.imu.as_array()
-        self._leftover = np.zeros(3)
+        self._lidar_rot: np.ndarray | None = None
+        self._mismatches: deque[float] = deque(maxlen=MISMATCH_SCANS)
+        self._distrust = 0.0
 
     def advance(self, scan: Scan, interval: Interval) -> ScanReport:
         """Take in a scan; the state moves to its end, by the IMU alone if need be."""
@@ -188,10 +214,12 @@ class Estimator:
             interval.accel,
             self._noise,
         )
+        prior = prior + self._doubt()
         lidar = predicted[m.ROT_LIDAR.start :].copy()
         thinned = prepare(scan, interval.start_ns, path, lidar, self.config.scan)
         if thinned.returns < self.config.update.min_returns:
             self._commit(scan.end_ns, predicted, prior)
+            self._lidar_rot = None
             return ScanReport(Verdict.BLIND, thinned.returns, rejected=thinned.rejected)
         if len(self.map) == 0:
             self._commit(scan.end_ns, predicted, prior)
@@ -205,9 +233,9 @@ class Estimator:
         report = self._judge(predicted, prior, state, last, thinned)
         if report.verdict is Verdict.UNMATCHED:
             self._commit(scan.end_ns, predicted, prior)
+            self._lidar_rot = None
             return report
-        report = self._compare_turns(report, predicted, first, interval)
-        self._leftover = lidar_turn(last)
+        report = self._compare_turns(report, predicted, state, last, scan, interval)
         self._commit(scan.end_ns, state, covariance)
         if report.verdict is Verdict.GOOD:
             # A point off its plane may start a new cell, but must not bend old ones.
@@ -286,17 +314,40 @@ class Estimator:
         self,
         report: ScanReport,
         predicted: np.ndarray,
-        first: Evidence,
+        state: np.ndarray,
+        evidence: Evidence,
+        scan: Scan,
         interval: Interval,
     ) -> ScanReport:
-        """Add what LiDAR alone and the IMU alone say about the last rotation."""
-        before = self.state[m.ROT].reshape(3, 3)
-        now_from_before = predicted[m.ROT].reshape(3, 3).T @ before
+        """Add what LiDAR alone says about the rotation, and whether the IMU agrees."""
+        turn = m.exp_rotation(lidar_turn(evidence))
+        now = state[m.ROT].reshape(3, 3) @ turn
+        if self._lidar_rot is not None:
+            before = self.state[m.ROT].reshape(3, 3)
+            expected = self._lidar_rot @ before.T @ predicted[m.ROT].reshape(3, 3)
+            error = m.log_rotation(np.ascontiguousarray(expected.T @ now))
+            self._mismatches.append(float(error @ error))
+        self._lidar_rot = now
+        middle_ns = (scan.start_ns + scan.end_ns) // 2
+        back = turn_since(interval, middle_ns, state[m.GYRO_BIAS])
+        mismatch = float(np.sqrt(sum(self._mismatches) / MISMATCH_SCANS))
+        agrees = mismatch <= self.config.update.max_mismatch
+        self._distrust = 0.0 if agrees else mismatch
         return replace(
             report,
-            turn_error=lidar_turn(first) - now_from_before @ self._leftover,
-            rate_change=interval.gyro[-1] - now_from_before @ interval.gyro[0],
+            mismatch=mismatch,
+            agrees=agrees,
+            turn=LidarTurn(middle_ns, now @ back.T),
         )
+
+    def _doubt(self) -> np.ndarray | float:
+        """What is added to the covariance of the prediction while the IMU errs."""
+        if not self._distrust:
+            return 0.0
+        deviations = np.zeros(m.ERROR_SIZE)
+        deviations[m.E_ROT] = DISTRUST * self._distrust
+        deviations[m.E_POS] = DISTRUST * DISTRUST_ARM_M * self._distrust
+        return np.diag(deviations**2)
 
     def _commit(self, stamp_ns: int, state: np.ndarray, covariance: np.ndarray) -> None:
         self.stamp_ns = stamp_ns

@@ -341,13 +341,25 @@ class FastLio:
                 return
             self._watch.take(scan.end_ns, report)
             if report.verdict in (Verdict.GOOD, Verdict.DOUBTFUL):
-                late = self._clock.take(report.turn_error, report.rate_change)
-                if late:
-                    self._clock.clear()
-                    self._watch.clocks_differ(late)
-                    if self.config.clock.correct:
-                        self._imu.shift(-round(late * 1e9))
+                self._compare_clocks(estimator, report)
                 self._restart_live(estimator)
+            else:
+                self._clock.clear()
+
+    def _compare_clocks(self, estimator: Estimator, report: ScanReport) -> None:
+        """Look for an offset of the clocks when LiDAR and IMU turn differently."""
+        if report.turn is not None:
+            self._clock.take(report.turn)
+        if report.agrees or not self.config.clock.correct:
+            return
+        begin_ns, newest_ns = self._clock.begin_ns, self._imu.newest_ns
+        times, gyro, _ = self._imu.between(begin_ns, newest_ns)
+        bias = estimator.state[m.GYRO_BIAS]
+        late = self._clock.find(begin_ns, times, gyro - bias, newest_ns)
+        if late:
+            self._clock.clear()
+            self._watch.clocks_differ(late)
+            self._imu.shift(-round(late * 1e9))
 
     def _restart_live(self, estimator: Estimator) -> None:
         """Continue the IMU-rate poses from the filter's newest state."""

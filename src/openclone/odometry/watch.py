@@ -64,6 +64,10 @@ class Watch:
             doubt = f"points lie {report.residual * 100:.1f} cm off their planes"
         elif report.surprise > config.max_surprise:
             doubt = f"IMU and LiDAR disagree by {report.surprise:.0f} sigma"
+        elif not report.agrees:
+            doubt = (
+                f"LiDAR and IMU turn differently by {report.mismatch * 1e3:.0f} mrad"
+            )
         if doubt:
             self._doubts, self._reason = config.recovery_scans, doubt
         else:
