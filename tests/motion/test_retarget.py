@@ -161,6 +161,25 @@ def test_recorded_walk_goes_forward_on_still_feet(
     assert quality.self_share < 0.02
 
 
+def test_hands_out_of_reach_pull_the_body_nowhere(human: Human, solver: Solver) -> None:
+    still = make_targets(human(12), RetargetConfig())
+    away = {
+        link: place + np.array([0.8, 0.3, 0.4]) * ("wrist" in link or "elbow" in link)
+        for link, place in still.position.items()
+    }
+    qpos = solver.track(replace(still, position=away))
+    wanted = still.position["pelvis"]
+    assert np.linalg.norm(qpos[:, :3] - wanted, axis=1).max() < 0.002
+    tilt = rotations.angle_between(qpos[:, 3:7], still.quat["pelvis"])
+    assert tilt.max() < 0.01
+    # The arms do what they can: both hands reach out ahead.
+    data = mujoco.MjData(solver.model)
+    data.qpos[:] = qpos[-1]
+    mujoco.mj_kinematics(solver.model, data)
+    for side in ("left", "right"):
+        assert data.body(f"{side}_wrist_yaw_link").xpos[0] > 0.2
+
+
 def test_hands_stay_out_of_the_body(human: Human, solver: Solver) -> None:
     """Arms that a slim human lets hang inside the robot's wide hips."""
     still = human(10)

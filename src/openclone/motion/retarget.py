@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import mink
 import numpy as np
 
 from openclone.errors import InputError
 from openclone.motion.clip import Clip, ClipInfo, clip_from_qpos
+from openclone.motion.ik_limits import Apart, FrameLimit, arm_pairs, leg_pairs
 from openclone.motion.proportions import FPS, RetargetConfig
 from openclone.motion.quality import ClipQuality, Gate, QualityMeter, faults
 from openclone.motion.skeleton import SIDES, HumanMotion
@@ -18,18 +20,18 @@ from openclone.robot import g1
 from openclone.robot.model import SOLE_CORNERS, build_model
 from openclone.spatial import rotations
 
-VERSION = 16
+VERSION = 17
 """Raise when the output changes: cached clips of older versions are made again."""
 
-_ARM = ("elbow_yaw", "wrist", "hand")
 _ARM_JOINTS = slice(15, g1.NUM_JOINTS)
+_ARM_DOFS = slice(6 + _ARM_JOINTS.start, 6 + _ARM_JOINTS.stop)
+_DAMPING, _HELD_DAMPING = 0.05, 10.0
+_BODY = ("pelvis", "torso_link")
 _TWISTED = ("pitch", "roll")
 _CAUGHT_M = 0.1
 """Metres from its target beyond which a hand at the end of its range is caught."""
 _FREEING_FRAMES = 15
 _FEET = tuple(f"{side}_ankle_roll_link" for side in SIDES)
-_TRUNK = ("torso", "head", "pelvis")
-_LEG = ("hip", "thigh", "shin")
 
 
 class CannotFollowError(InputError):
@@ -51,59 +53,21 @@ _COSTS: dict[str, tuple[_Weight, _Weight]] = {
 about the link's own x, y and z."""
 
 
-def collision_pairs() -> list[tuple[list[str], list[str]]]:
-    """Groups of collision geoms of the G1 that are kept apart."""
+@dataclass(frozen=True)
+class _Stage:
+    """One of the two stages in which a frame is solved."""
 
-    def named(side: str, parts: tuple[str, ...]) -> list[str]:
-        return [f"{side}_{part}_collision" for part in parts]
-
-    trunk = [f"{part}_collision" for part in _TRUNK]
-    left, right = named("left", _ARM), named("right", _ARM)
-    upper = [f"{side}_shoulder_yaw_collision" for side in SIDES]
-    legs = named("left", _LEG) + named("right", _LEG)
-    inner = (*_LEG, "linkage_brace")
-    return [
-        (left + upper, right + upper),
-        (left + right + upper, trunk + legs),
-        (["torso_collision"], legs),
-        (named("left", ("thigh", "shin", "linkage_brace")), named("right", inner[1:])),
-        # Knees and hands of those who kneel and reach down.
-        (["floor"], [*left, *right, *named("left", _LEG), *named("right", _LEG)]),
-    ]
-
-
-class _FrameLimit(mink.Limit):
-    """Joint ranges, and how far a joint may move between two frames.
-
-    mink's own velocity limit bounds one solver step; with several steps a frame the
-    solver would either lag or exceed the speed.
-    """
-
-    def __init__(self, lower: np.ndarray, upper: np.ndarray, reach: float) -> None:
-        self._range = lower, upper
-        self._reach = reach
-        rows = np.concatenate((np.zeros((g1.NUM_JOINTS, 6)), np.eye(g1.NUM_JOINTS)), 1)
-        self._rows = np.concatenate((rows, -rows))
-        self.start(None)
-
-    def start(self, joints: np.ndarray | None) -> None:
-        """Begin a frame after ``joints (29,)``; None lifts the speed limit."""
-        self._lower, self._upper = self._range
-        if joints is not None:
-            self._lower = np.maximum(self._lower, joints - self._reach)
-            self._upper = np.minimum(self._upper, joints + self._reach)
-
-    def compute_qp_inequalities(
-        self, configuration: mink.Configuration, dt: float
-    ) -> mink.Constraint:
-        """``rows @ step <= room``."""
-        joints = configuration.q[7:]
-        room = np.concatenate((self._upper - joints, joints - self._lower))
-        return mink.Constraint(G=self._rows, h=np.maximum(room, 0.0))
+    tasks: Sequence[mink.Task | mink.DampingTask]
+    limits: Sequence[mink.Limit]
+    frozen: Sequence[mink.Task] | None = None
 
 
 class Solver:
-    """The inverse kinematics of one robot; build once, use for many clips."""
+    """The inverse kinematics of one robot; build once, use for many clips.
+
+    Each frame is solved in two stages: first pelvis, legs and waist, whom the arms
+    must not pull from their places, then the arms.
+    """
 
     def __init__(self, config: RetargetConfig | None = None) -> None:
         self.config = config or RetargetConfig()
@@ -114,34 +78,49 @@ class Solver:
             link: mink.FrameTask(link, "body", *costs, lm_damping=0.01)
             for link, costs in _COSTS.items()
         }
+        lower, upper = _joint_ranges(self.config)
+        self._limit = FrameLimit(lower, upper, self.config.max_joint_speed / FPS)
+        self._body_posture = mink.PostureTask(self.model, cost=_body_cost())
         self._posture = mink.PostureTask(self.model, cost=_posture_cost(()))
         self._caught = np.zeros(2, dtype=int)
-        damping = np.full(self.model.nv, 0.05)
-        # The hanging, stretched arm is singular: nothing holds its turn about itself.
-        damping[6 + _ARM_JOINTS.start :] = 1.0
-        self._damping = mink.DampingTask(self.model, cost=damping)
-        lower, upper = _joint_ranges(self.config)
-        self._limit = _FrameLimit(lower, upper, self.config.max_joint_speed / FPS)
-        # mink divides the allowed approach by the time step; ours is 1, so that the
-        # gain is the share of the free distance used in one step.
-        self._apart = mink.CollisionAvoidanceLimit(
-            self.model,
-            collision_pairs(),
-            gain=0.5,
-            minimum_distance_from_collisions=self.config.clearance,
-            collision_detection_distance=0.08,
-            # Negative: links that did get inside each other are driven apart.
-            bound_relaxation=-0.001,
-        )
+        self._stages = self._body_stage(), self._arm_stage()
         self.unsolved = 0
 
-    def _step(self) -> float:
+    def _body_stage(self) -> _Stage:
+        """Feet, pelvis and torso; the arms only keep out of the way."""
+        damping = np.full(self.model.nv, _DAMPING)
+        damping[_ARM_DOFS] = _HELD_DAMPING
+        tasks = [self._tasks[link] for link in (*_FEET, *_BODY)]
+        pairs = arm_pairs() + leg_pairs()
+        return _Stage(
+            [*tasks, self._body_posture, mink.DampingTask(self.model, cost=damping)],
+            [self._limit, Apart(self.model, pairs, self.config.clearance)],
+        )
+
+    def _arm_stage(self) -> _Stage:
+        """Elbows and hands, while the rest of the body stays as it is."""
+        damping = np.full(self.model.nv, _DAMPING)
+        # The hanging, stretched arm is singular: nothing holds its turn about itself.
+        damping[_ARM_DOFS] = 1.0
+        body = (*_FEET, *_BODY)
+        tasks = [task for link, task in self._tasks.items() if link not in body]
+        return _Stage(
+            [*tasks, self._posture, mink.DampingTask(self.model, cost=damping)],
+            [self._limit, Apart(self.model, arm_pairs(), self.config.clearance)],
+            [mink.DofFreezingTask(self.model, list(range(_ARM_DOFS.start)))],
+        )
+
+    def _step(self, stage: _Stage) -> float:
         """One solver step; returns the largest joint move, radians."""
-        tasks = [*self._tasks.values(), self._posture, self._damping]
-        for limits in ([self._limit, self._apart], [self._limit]):
+        for limits in (stage.limits, [self._limit]):
             try:
                 step = mink.solve_ik(
-                    self._configuration, tasks, 1.0, "daqp", limits=limits
+                    self._configuration,
+                    stage.tasks,
+                    1.0,
+                    "daqp",
+                    limits=limits,
+                    constraints=stage.frozen,
                 )
             except mink.NoSolutionFound:
                 self.unsolved += 1
@@ -150,17 +129,33 @@ class Solver:
             return float(np.abs(step[6:]).max())
         return 0.0
 
+    def _solve(self, stage: _Stage, targets: Targets, frame: int) -> None:
+        """Step until the pose changes no more, or the steps are used up."""
+        for _ in range(self.config.solves if frame else self.config.first_solves):
+            if stage.frozen is None:
+                self._aim_feet(targets, frame)
+            if self._step(stage) < self.config.converged:
+                break
+
     def _aim(self, targets: Targets, frame: int) -> None:
+        """Set the targets of everything but the feet."""
         for link, task in self._tasks.items():
+            if link in _FEET:
+                continue
             turn = targets.quat.get(link)
             place = targets.position.get(link)
-            place = np.zeros(3) if place is None else place[frame].copy()
-            if link in _FEET:
-                # As the foot is tilted now, its lowest corner must clear the ground.
-                rotation = self._configuration.data.body(link).xmat.reshape(3, 3)
-                place[2] = max(place[2], -(SOLE_CORNERS @ rotation[2]).min())
+            place = np.zeros(3) if place is None else place[frame]
             quat = rotations.IDENTITY if turn is None else turn[frame]
             task.set_target(mink.SE3(np.concatenate((quat, place))))
+
+    def _aim_feet(self, targets: Targets, frame: int) -> None:
+        """As a foot is tilted now, its lowest corner must clear the ground."""
+        for link in _FEET:
+            place = targets.position[link][frame].copy()
+            rotation = self._configuration.data.body(link).xmat.reshape(3, 3)
+            place[2] = max(place[2], -(SOLE_CORNERS @ rotation[2]).min())
+            pose = np.concatenate((targets.quat[link][frame], place))
+            self._tasks[link].set_target(mink.SE3(pose))
 
     def _free_arms(self, targets: Targets, frame: int) -> None:
         """Draw an arm to the front that is caught at the end of its shoulder's range.
@@ -194,25 +189,32 @@ class Solver:
         pelvis = targets.position["pelvis"][0], targets.quat["pelvis"][0]
         start = np.concatenate((*pelvis, g1.DEFAULT_POSE))
         self._configuration.update(start)
-        self._posture.set_target(start)
+        for posture in (self._body_posture, self._posture):
+            posture.set_target(start)
         self._posture.set_cost(_posture_cost(()))
         self._caught[:] = 0
         qpos = np.empty((len(targets.contact), self.model.nq))
         for frame in range(len(qpos)):
             self._limit.start(qpos[frame - 1, 7:] if frame else None)
-            for _ in range(self.config.solves if frame else self.config.first_solves):
-                self._aim(targets, frame)
-                if self._step() < self.config.converged:
-                    break
+            self._aim(targets, frame)
+            for stage in self._stages:
+                self._solve(stage, targets, frame)
             qpos[frame] = self._configuration.q
             self._free_arms(targets, frame)
         return qpos
 
 
+def _body_cost() -> np.ndarray:
+    """(35,) pull of each joint but the arms' to the standing posture."""
+    cost = np.full(6 + g1.NUM_JOINTS, 0.02)
+    cost[_ARM_DOFS] = 0.0
+    return cost
+
+
 def _posture_cost(caught: tuple[str, ...]) -> np.ndarray:
     """(35,) pull of each joint to the standing posture; strong for caught arms."""
     cost = np.full(6 + g1.NUM_JOINTS, 0.02)
-    cost[6 + _ARM_JOINTS.start :] = 0.2
+    cost[_ARM_DOFS] = 0.2
     for side in caught:
         for name in g1.JOINT_NAMES[_ARM_JOINTS]:
             if name.startswith(side):
