@@ -2,6 +2,9 @@
 
     python benchmarks/odometry_consistency.py --runs 50 --json nees.json
 
+One constant (`MatchConfig.independence`) was chosen on seeds below 50, so the default
+seeds are others.
+
 Each run draws biases, sensor noise and path from its seed. The filter is told the true
 noise densities of the simulated IMU; everything else is as shipped. For a consistent
 filter, the normalized squared error per dimension averages 1.
@@ -25,23 +28,29 @@ def main() -> None:
     """Run, print and store."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--runs", type=int, default=50)
+    parser.add_argument("--first-seed", type=int, default=1000)
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     start = time.process_time()
     runs = []
-    for seed in range(options.runs):
+    for number in range(options.runs):
+        seed = options.first_seed + number
         runs.append(consistency.run(seed, config=consistency.told_noise()))
-        print(f"run {seed + 1} of {options.runs}", file=sys.stderr, flush=True)
+        print(f"run {number + 1} of {options.runs}", file=sys.stderr, flush=True)
     result = consistency.nees(runs)
     for name, value in result.items():
         size = len(consistency.BLOCKS[name])
         # 95 % of the averages of one moment per run lie in this band.
         width = 2.0 * np.sqrt(2.0 / (size * options.runs))
-        print(f"{name:12s} {value:5.2f}   95 %: {1 - width:.2f} to {1 + width:.2f}")
+        print(f"{name:12s} {value:6.3f}   95 %: {1 - width:.2f} to {1 + width:.2f}")
     print(f"{options.runs} runs, {time.process_time() - start:.0f} s of CPU")
     if options.json:
-        text = json.dumps({"runs": options.runs, "nees": result}, indent=2)
-        options.json.write_text(text + "\n")
+        figures = {
+            "runs": options.runs,
+            "first_seed": options.first_seed,
+            "nees": result,
+        }
+        options.json.write_text(json.dumps(figures, indent=2) + "\n")
 
 
 if __name__ == "__main__":
