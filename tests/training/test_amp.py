@@ -103,7 +103,7 @@ def test_separates_two_toy_distributions():
 
 
 def test_replay_keeps_the_newest():
-    replay = Replay(5, 1)
+    replay = Replay(5, 1, torch.device("cpu"))
     rng = torch.Generator().manual_seed(0)
     replay.add(torch.arange(3.0)[:, None])
     assert set(replay.sample(60, rng).flatten().tolist()) == {0.0, 1.0, 2.0}

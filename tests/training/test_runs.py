@@ -1,6 +1,7 @@
 """Whole training runs, seconds long."""
 
 import copy
+import math
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+from tensordict import TensorDict
 from torch import nn
 
 from openclone.cli import learning
@@ -18,6 +20,7 @@ from openclone.training import student as student_module
 from openclone.training.checkpoint import load_checkpoint
 from openclone.training.distillation import Dagger
 from openclone.training.guard import TrainingStopped
+from openclone.training.ppo import PpoConfig, build_ppo, mlp_model, settle
 from openclone.training.presets import (
     STUDENTS,
     TEACHERS,
@@ -278,6 +281,45 @@ def test_distillation_stops_at_a_nan(trained, make_clip, tmp_path, no_export):
         train_student([make_clip()], broken, STUDENT, tmp_path, threads=1)
     assert (tmp_path / "nan-dump.npz").is_file()
     assert not (tmp_path / "student.pt").exists()
+
+
+# Schedules and kept bundles ----------------------------------------------------------
+
+
+def test_noise_and_updates_shrink_over_a_run(trained):
+    config = PpoConfig(
+        kl=0.04, final_kl=0.01, initial_std=0.4, final_std=0.1, hidden=(8,)
+    )
+    example = TensorDict({"x": torch.zeros(2, 3)}, batch_size=[2])
+    actor, critic = (mlp_model(example, "x", count, config) for count in (29, 1))
+    ppo = build_ppo(example, actor, critic, config)
+
+    def settled(share):
+        settle(ppo, config, share)
+        ppo.act(example)
+        return ppo.desired_kl, actor.output_std.max().item()
+
+    assert settled(0.0) == pytest.approx((0.04, 0.4))
+    assert settled(0.52) == pytest.approx((0.02, 0.2))  # in steps of a twentieth
+    # Noise that was learned to be smaller stays so.
+    with torch.no_grad():
+        actor.distribution.log_std_param.fill_(math.log(0.15))
+    assert settled(0.52) == pytest.approx((0.02, 0.15))
+    assert settled(1.0) == pytest.approx((0.01, 0.1))
+
+
+def test_bundles_are_kept_at_growing_distances(make_clip, tmp_path):
+    trainer = student_module.StudentTrainer([make_clip()], STUDENT, tmp_path, 0, 1)
+    (tmp_path / "student.onnx").write_bytes(b"bundle")
+    for half_minutes in range(1, 240):
+        trainer._keep(half_minutes / 2)
+    kept = {path.stem.partition("_")[2] for path in (tmp_path / "bundles").iterdir()}
+    assert {"2.0", "4.0", "36.0"} <= kept
+    assert {"3.0", "119.0"}.isdisjoint(kept)
+    assert 30 < len(kept) < 45
+    trainer.phase = "ppo"
+    trainer._keep(2.0)
+    assert (tmp_path / "bundles" / "student_ppo_2.0.onnx").read_bytes() == b"bundle"
 
 
 # Presets -----------------------------------------------------------------------------

@@ -31,7 +31,7 @@ def test_training_and_loop_agree(make_task):
 
     task = make_task(2, push_speed=0.0, displaced_share=0.0)
     task.age[:] = 0
-    task.frame[:] = 30
+    task.jump_to(torch.full((2,), 30))
     view = StudentView(task, 25, QUIET, np.random.default_rng(0))
     rng = np.random.default_rng(1)
     actions = 0.2 * rng.standard_normal((30, 2, 29)).astype(np.float32)
@@ -88,7 +88,7 @@ def test_ended_episodes_start_with_a_fresh_history(make_task, reference):
     task = make_task(2, push_speed=0.0)
     view = StudentView(task, 25, QUIET, np.random.default_rng(0))
     task.age[:] = 0
-    task.frame[:] = torch.tensor([reference.last[0] - 1, 20])
+    task.jump_to(torch.tensor([reference.last[0] - 1, 20]))
     view.step(torch.full((2, 29), 0.1))
     frames = view.history.frames
     assert torch.equal(frames[0, 0], frames[0, 24])

@@ -46,7 +46,7 @@ def test_limp_robots_fail_and_are_reset(make_task):
 
 def test_clip_end_is_a_time_out_not_a_failure(make_task, reference):
     task = make_task(4, limits=TerminationLimits(9, 9, 9, 9), **CALM)
-    task.frame[:] = reference.last[task.frame] - 1
+    task.jump_to(reference.last[task.frame] - 1)
     task.age[:] = 0
     result = task.step(task.residual_to_target(torch.zeros(4, 29)))
     assert result.timed_out.all()
@@ -55,9 +55,9 @@ def test_clip_end_is_a_time_out_not_a_failure(make_task, reference):
 
 def test_failing_bins_are_drawn_more_often(make_task):
     task = make_task(4, **{**CALM, "failure_share": 1.0})
-    task.failures[:] = 0.0
-    task.failures[6] = 50.0
-    frames = task._sample_frames(2000)
+    task.starts.failures[:] = 0.0
+    task.starts.failures[6] = 50.0
+    frames = task.starts.draw(2000)
     near = ((frames // 25) >= 5) & ((frames // 25) <= 7)
     assert float(near.float().mean()) > 0.6
 
@@ -90,7 +90,7 @@ def test_same_seed_same_episodes(make_task):
 def test_previous_action_is_in_units_of_the_residual(make_task):
     task = make_task(4, weights=RewardWeights(root_position=1.0), **CALM)
     task.age[:] = 0
-    task.frame[:] = 20
+    task.jump_to(torch.full((4,), 20))
     action = torch.full((4, 29), 0.25)
     task.step(task.residual_to_target(action))
     torch.testing.assert_close(task.action, action, atol=1e-5, rtol=0)

@@ -4,12 +4,30 @@ from __future__ import annotations
 
 import torch
 
+from openclone.policy.constants import Constant
 from openclone.policy.observation import gravity_b
 from openclone.robot import g1
 from openclone.robot.state import RobotState
 from openclone.spatial import rotations
 
 TEACHER_SIZE = 5 * g1.NUM_JOINTS + 9 * len(g1.KEY_BODIES) + 33
+
+
+def evenly_spaced(bodies: tuple[int, ...]) -> slice:
+    """``bodies`` as a slice: picking by a list takes ten times as long.
+
+    Raises:
+        ValueError: they do not lie at even distances.
+    """
+    first, step = bodies[0], bodies[1] - bodies[0]
+    chosen = slice(first, bodies[-1] + 1, step)
+    if tuple(range(len(g1.KEY_BODIES)))[chosen] != tuple(bodies):
+        raise ValueError(f"bodies at uneven distances: {bodies}")
+    return chosen
+
+
+_FEET = evenly_spaced(g1.FEET)
+_DEFAULT_POSE = Constant(g1.DEFAULT_POSE)
 
 
 def teacher_observation(
@@ -31,7 +49,7 @@ def teacher_observation(
     torso = g1.TORSO
     anchor = robot.body_position[:, torso : torso + 1]
     turn = robot.body_quat[:, torso]
-    default = torch.as_tensor(g1.DEFAULT_POSE, dtype=turn.dtype, device=turn.device)
+    default = _DEFAULT_POSE.like(turn)
     bodies, here = len(g1.KEY_BODIES), slice(torso, torso + 1)
     # All vectors are turned at once: many small operations would take longer.
     vectors = (
@@ -64,7 +82,7 @@ def teacher_observation(
         spin * 0.25,
         gravity_b(robot.body_quat[:, g1.ROOT]),
         robot.foot_force.flatten(1).clamp(-1000, 1000) / 300.0,
-        robot.body_velocity[:, list(g1.FEET)].flatten(1),
+        robot.body_velocity[:, _FEET].flatten(1),
         action * 0.5,
         robot_at,
         wanted_at,

@@ -14,7 +14,9 @@ from typing import Any
 import torch
 from torch import nn
 
+from openclone.policy.constants import Constant
 from openclone.policy.observation import gravity_b
+from openclone.policy.teacher import evenly_spaced
 from openclone.robot import g1
 from openclone.robot.state import RobotState
 from openclone.spatial import rotations
@@ -22,6 +24,8 @@ from openclone.training.reference import ReferenceMotions
 
 FEATURES = 2 * 12 + 1 + 3 + 3 + 3 + 6
 """Numbers that describe the lower body at one instant."""
+_FEET = evenly_spaced(g1.FEET)
+_LEGS = Constant(g1.DEFAULT_POSE[g1.LOWER_BODY])
 _MIN_SPREAD = 0.05
 _MAX_REWARD = 9.21
 """-log of 1e-4: a discriminator that is fooled completely pays no more than this."""
@@ -58,12 +62,8 @@ def lower_body(state: RobotState) -> torch.Tensor:
     """
     root = g1.ROOT
     heading = rotations.heading(state.body_quat[:, root])
-    feet = state.body_position[:, list(g1.FEET)] - state.body_position[:, root, None]
-    default = torch.as_tensor(
-        g1.DEFAULT_POSE[g1.LOWER_BODY],
-        dtype=heading.dtype,
-        device=heading.device,
-    )
+    feet = state.body_position[:, _FEET] - state.body_position[:, root, None]
+    default = _LEGS.like(heading)
     parts = (
         state.joint_angles[:, g1.LOWER_BODY] - default,
         state.joint_velocities[:, g1.LOWER_BODY],
@@ -130,23 +130,29 @@ def discriminator_loss(
 class Replay:
     """The last ``size`` transitions in a ring."""
 
-    def __init__(self, size: int, width: int) -> None:
+    def __init__(self, size: int, width: int, device: torch.device) -> None:
         """Start empty."""
-        self._rows = torch.zeros(size, width)
+        self._rows = torch.zeros(size, width, device=device)
         self._next = self.count = 0
 
     def add(self, rows: torch.Tensor) -> None:
         """Append ``rows (m, width)``; the oldest make room."""
         size = len(self._rows)
         rows = rows[-size:]
-        place = (self._next + torch.arange(len(rows))) % size
+        place = torch.arange(len(rows), device=rows.device)
+        place = (self._next + place) % size
         self._rows[place] = rows
         self._next = (self._next + len(rows)) % size
         self.count = min(size, self.count + len(rows))
 
     def sample(self, count: int, rng: torch.Generator) -> torch.Tensor:
         """``(count, width)``, drawn with replacement."""
-        return self._rows[torch.randint(self.count, (count,), generator=rng)]
+        return self._rows[_draw(self.count, count, rng)]
+
+
+def _draw(below: int, count: int, rng: torch.Generator) -> torch.Tensor:
+    """``(count,)`` numbers from 0 to ``below`` - 1, on the generator's device."""
+    return torch.randint(below, (count,), generator=rng, device=rng.device)
 
 
 class AmpStyle:
@@ -159,18 +165,22 @@ class AmpStyle:
     def __init__(
         self, reference: ReferenceMotions, config: AmpConfig, seed: int
     ) -> None:
-        """Take the reference's legs as real; features are scaled by their spread."""
+        """Take the reference's legs as real; features are scaled by their spread.
+
+        Everything lives on the reference's device.
+        """
+        device = reference.device
         self.config = config
         self._real = lower_body(reference.frames)
-        frames = torch.arange(reference.num_frames)
+        frames = torch.arange(reference.num_frames, device=device)
         self._starts = torch.nonzero(frames < reference.last).squeeze(-1)
         self._mean = self._real.mean(0)
         self._spread = self._real.std(0).clamp(min=_MIN_SPREAD)
-        self.net = Discriminator(2 * FEATURES, config.hidden)
+        self.net = Discriminator(2 * FEATURES, config.hidden).to(device)
         self._optimizer = torch.optim.Adam(self.net.parameters(), config.learning_rate)
-        self._replay = Replay(config.replay, 2 * FEATURES)
+        self._replay = Replay(config.replay, 2 * FEATURES, device)
         self._fresh: list[torch.Tensor] = []
-        self._rng = torch.Generator().manual_seed(seed)
+        self._rng = torch.Generator(device).manual_seed(seed)
 
     def _transitions(self, before: torch.Tensor, after: torch.Tensor) -> torch.Tensor:
         pair = ((before - self._mean) / self._spread, (after - self._mean))
@@ -187,8 +197,7 @@ class AmpStyle:
 
     def real(self, count: int) -> torch.Tensor:
         """``(count, 80)`` transitions of the reference."""
-        index = torch.randint(len(self._starts), (count,), generator=self._rng)
-        start = self._starts[index]
+        start = self._starts[_draw(len(self._starts), count, self._rng)]
         return self._transitions(self._real[start], self._real[start + 1])
 
     def update(self) -> dict[str, float]:
@@ -200,7 +209,7 @@ class AmpStyle:
         half = self.config.batch // 2
         logs: dict[str, float] = {}
         for _ in range(self.config.updates):
-            index = torch.randint(len(fresh), (half,), generator=self._rng)
+            index = _draw(len(fresh), half, self._rng)
             robot = torch.cat((fresh[index], self._replay.sample(half, self._rng)))
             loss, logs = discriminator_loss(
                 self.net, self.real(2 * half), robot, self.config
@@ -223,4 +232,5 @@ class AmpStyle:
         """Go on from `state_dict`."""
         self.net.load_state_dict(content["net"])
         self._optimizer.load_state_dict(content["optimizer"])
-        self._mean, self._spread = content["mean"], content["spread"]
+        self._mean = content["mean"].to(self._mean)
+        self._spread = content["spread"].to(self._spread)

@@ -16,10 +16,10 @@ from torch import nn
 from openclone.policy.moe import balance_loss
 from openclone.policy.student import StudentModel
 from openclone.training.guard import NanGuard, Tensors
-from openclone.training.ppo import note_step
 from openclone.training.presets import DistillationConfig
 from openclone.training.progress import Progress
 from openclone.training.student_view import StudentView
+from openclone.training.tally import Tally
 from openclone.training.teacher import GROUP as TEACHER
 
 _UNIT = 0.45
@@ -65,6 +65,7 @@ class Dagger:
         networks = {"student": student.mlp}
         self._guard = NanGuard(folder, view.task, networks, self._last_round)
         self._weight = view.task.action_scale / _UNIT
+        self._tally = Tally(view.task)
 
     def label(self) -> torch.Tensor:
         """The teacher's joint targets as student actions, ``(n, 29)``."""
@@ -87,20 +88,21 @@ class Dagger:
         share = max(0.0, 1.0 - self.rounds / self.config.teacher_share_rounds)
         observations, labels = [], []
         self.student.train()
-        count = self.view.task.num_envs
+        count, device = self.view.task.num_envs, self.view.task.device
         for _ in range(self.config.steps):
             inputs, label = self.view.observe(), self.label()
-            self._guard.check_observations((inputs, label), progress.steps)
             self.student.obs_normalizer.update(inputs)  # type: ignore[operator]
             own = self.student.mean_action(inputs)
             by_teacher = torch.from_numpy(self._rng.random((count, 1)) < share)
-            result = self.view.step(torch.where(by_teacher, label, own))
+            action = torch.where(by_teacher.to(device), label, own)
+            result = self.view.step(action)
             observations.append(inputs)
             labels.append(label)
             progress.steps += count
-            note_step(progress, result)
-            progress.add(gap=float((self._weight * (own - label)).abs().mean()))
+            self._tally.add(result, gap=(self._weight * (own - label)).abs().mean())
+        self._tally.report(progress)
         self._buffer.append((torch.cat(observations), torch.cat(labels)))
+        self._guard.check_observations(self._buffer[-1], progress.steps)
         self.rounds += 1
 
     def update(self, progress: Progress) -> None:
@@ -115,11 +117,9 @@ class Dagger:
         for _ in range(config.updates):
             per_round = config.batch // rounds
             parts = [
-                (inputs[index], labels[index])
+                (inputs.index_select(0, index), labels.index_select(0, index))
                 for inputs, labels in self._buffer
-                for index in [
-                    torch.from_numpy(self._rng.integers(0, len(inputs), per_round))
-                ]
+                for index in [self._draw(len(inputs), per_round)]
             ]
             inputs = torch.cat([part[0] for part in parts])
             labels = torch.cat([part[1] for part in parts])
@@ -142,6 +142,11 @@ class Dagger:
             progress.add(**losses, **router_usage(routing))
         self._guard.check(losses, progress.steps)
         progress.iterations += 1
+
+    def _draw(self, below: int, count: int) -> torch.Tensor:
+        """``(count,)`` rows of a round, on the task's device."""
+        drawn = torch.from_numpy(self._rng.integers(0, below, count))
+        return drawn.to(self.view.task.device)
 
     @torch.no_grad()
     def _average(self) -> None:

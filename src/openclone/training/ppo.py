@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 import torch
 from rsl_rl.algorithms import PPO
 from rsl_rl.models import MLPModel
+from rsl_rl.modules.distribution import GaussianDistribution
 from tensordict import TensorDict
 
 from openclone.policy.linear import quicken
@@ -18,6 +20,7 @@ from openclone.training.distributed import team
 from openclone.training.guard import NanGuard, Tensors
 from openclone.training.progress import Progress
 from openclone.training.storage import Rollouts
+from openclone.training.tally import Tally
 from openclone.training.task import StepResult, TrackingTask
 
 
@@ -31,9 +34,13 @@ class PpoConfig:
         learning_rate: initial; adapted to keep the KL divergence near ``kl``.
         slowest, fastest: learning rates at which an update may start.
         kl: target divergence per update.
+        final_kl: the target at the end of the run, approached geometrically; None:
+            the same.
         discount, trace: γ and λ.
         entropy: weight of the entropy bonus.
         initial_std: exploration noise at the start, units of action.
+        final_std: bound on the noise at the end of the run, approached geometrically
+            from ``initial_std``; None: the noise is only learned.
         hidden: sizes of the MLPs' hidden layers.
     """
 
@@ -44,10 +51,12 @@ class PpoConfig:
     slowest: float = 1e-4
     fastest: float = 1e-3
     kl: float = 0.05
+    final_kl: float | None = None
     discount: float = 0.99
     trace: float = 0.95
     entropy: float = 0.003
     initial_std: float = 0.5
+    final_std: float | None = None
     hidden: tuple[int, ...] = (384, 256, 128)
 
 
@@ -135,6 +144,30 @@ def resume_ppo(ppo: PPO, content: dict[str, Any]) -> None:
     fuse(ppo.optimizer)
 
 
+_SCHEDULE_STEPS = 20
+"""Targets change in this many steps, so that wall time decides little."""
+
+
+@torch.no_grad()
+def settle(ppo: PPO, config: PpoConfig, share: float) -> None:
+    """Small careful updates and little noise towards the end of a run.
+
+    Args:
+        ppo: the algorithm.
+        config: where its settings begin and end.
+        share: of the run that is over.
+    """
+    share = math.floor(_SCHEDULE_STEPS * share) / _SCHEDULE_STEPS
+    if config.final_kl is not None:
+        ppo.desired_kl = config.kl * (config.final_kl / config.kl) ** share
+    if config.final_std is not None:
+        bound = math.log(config.initial_std)
+        bound += share * math.log(config.final_std / config.initial_std)
+        noise = ppo.get_policy().distribution
+        assert isinstance(noise, GaussianDistribution)
+        noise.log_std_param.clamp_(max=bound)
+
+
 AfterUpdate = Callable[[TensorDict], dict[str, float]]
 """Called with the newest observations after an update; returns values to log."""
 _SHOWN = ("falls/1000", "error_mm", "reward", "std", "lr", "loss/value")
@@ -168,9 +201,12 @@ def learn(
     crew.share_networks(ppo)
     networks = {"actor": ppo.actor, "critic": ppo.critic}
     guard = NanGuard(progress.folder, env.task, networks, lambda: _last_batch(ppo))
+    tally = Tally(env.task)
     observations = env.observe()
     while not crew.agree(progress.finished):
-        observations = collect(env, ppo, config, progress, guard, observations)
+        settle(ppo, config, progress.share)
+        observations = collect(env, ppo, config, progress, tally, observations)
+        guard.check_observations(_observed(ppo), progress.steps)
         losses = {f"loss/{name}": value for name, value in ppo.update().items()}
         for also in after_update:
             losses |= also(observations)
@@ -194,19 +230,19 @@ def collect(
     ppo: PPO,
     config: PpoConfig,
     progress: Progress,
-    guard: NanGuard,
+    tally: Tally,
     observations: TensorDict,
 ) -> TensorDict:
     """Fill the storage with one roll-out; returns the newest observations."""
     for _ in range(config.steps):
-        guard.check_observations(observations.to_dict().values(), progress.steps)
         action = ppo.act(observations)
         result = env.step(action.clamp(-10, 10))
         observations = env.observe()
         extras = {"time_outs": result.timed_out}
         ppo.process_env_step(observations, result.reward, result.done, extras)
         progress.steps += env.num_envs * team().size
-        note_step(progress, result)
+        tally.add(result)
+    tally.report(progress)
     ppo.compute_returns(observations)
     return observations
 
@@ -220,20 +256,5 @@ def _last_batch(ppo: PPO) -> Tensors:
     return {**batch, **groups}
 
 
-def note_step(progress: Progress, result: StepResult) -> None:
-    """Add a step's reward terms, terminations, body error and episodes that ended.
-
-    ``success/<category>`` is the share of a category's episodes that came to their end
-    without failure, from the starts that training draws, with exploration noise.
-    """
-    terms = {f"reward/{name}": value for name, value in result.terms.items()}
-    progress.add(
-        **{
-            "falls/1000": 1000 * float(result.terminated.float().mean()),
-            "error_mm": 1000 * result.error,
-            "reward": float(result.reward.mean()) / 0.02,
-        },
-        **terms,
-    )
-    for category, survived in result.outcomes.items():
-        progress.add_all(f"success/{category}", [float(well) for well in survived])
+def _observed(ppo: PPO) -> Iterable[torch.Tensor]:
+    return ppo.storage.observations.to_dict().values()

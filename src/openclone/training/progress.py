@@ -97,7 +97,7 @@ class Progress:
             return False
         rate = (self.steps - self._line_steps) / (now - self._last_line)
         self._last_line, self._line_steps = now, self.steps
-        self.add(**{"rate/steps_per_s": rate})
+        self.add(**{"rate/steps_per_s": rate, "rate/minutes": self.minutes})
         means = self._log()
         if self._writer is None:
             return False

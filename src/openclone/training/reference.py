@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
@@ -10,6 +11,7 @@ import torch
 from scipy.ndimage import gaussian_filter1d
 
 from openclone.motion.clip import Clip
+from openclone.robot import g1
 from openclone.robot.model import CONTROL_PERIOD, SensorLayout
 from openclone.robot.state import RobotState, read_state
 
@@ -33,19 +35,23 @@ class ReferenceMotions:
     """All clips behind one another at 50 Hz; F frames in total, C clips.
 
     Attributes:
-        qpos, qvel: (F, 36) and (F, 35), MuJoCo coordinates.
-        frames: the robot's state in every frame, arrays (F, ...); torque and foot
-            force are zero.
+        qpos, qvel: (F, 36) and (F, 35), MuJoCo coordinates, on the host.
+        frames: the robot's state in every frame, tensors (F, ...), views of ``table``;
+            torque and foot force are zero.
+        table: (F, d), all of it in one row per frame.
         clip: (F,) index of the clip a frame belongs to.
         last: (F,) index of the last frame of that clip.
+        category: (F,) index of the clip's category in ``category_names``.
         names, categories: one per clip.
     """
 
     qpos: np.ndarray
     qvel: np.ndarray
     frames: RobotState
+    table: torch.Tensor
     clip: torch.Tensor
     last: torch.Tensor
+    category: torch.Tensor
     names: tuple[str, ...]
     categories: tuple[str, ...]
 
@@ -54,6 +60,30 @@ class ReferenceMotions:
         """F."""
         return len(self.qpos)
 
+    @property
+    def device(self) -> torch.device:
+        """Where the tensors live."""
+        return self.table.device
+
+    @property
+    def category_names(self) -> tuple[str, ...]:
+        """The motion categories, each once."""
+        return _distinct(self.categories)
+
+    def to(self, device: torch.device) -> ReferenceMotions:
+        """The same motions with their tensors on ``device``."""
+        if device == self.device:
+            return self
+        table = self.table.to(device)
+        return replace(
+            self,
+            frames=_as_state(table),
+            table=table,
+            clip=self.clip.to(device),
+            last=self.last.to(device),
+            category=self.category.to(device),
+        )
+
     def summary(self) -> str:
         """How much motion there is, in words."""
         minutes = self.num_frames / _FPS / 60
@@ -61,16 +91,36 @@ class ReferenceMotions:
 
     def at(self, index: torch.Tensor) -> RobotState:
         """Reference states of the frames ``index (n,)``."""
-        frames = self.frames
-        return RobotState(
-            **{
-                name: getattr(frames, name).index_select(0, index)
-                for name in _STATE_FIELDS
-            }
-        )
+        return _as_state(self.table.index_select(0, index))
 
 
-_STATE_FIELDS = tuple(RobotState.__dataclass_fields__)
+_BODIES = len(g1.KEY_BODIES)
+_SHAPES: dict[str, tuple[int, ...]] = {
+    "joint_angles": (g1.NUM_JOINTS,),
+    "joint_velocities": (g1.NUM_JOINTS,),
+    "body_position": (_BODIES, 3),
+    "body_quat": (_BODIES, 4),
+    "body_velocity": (_BODIES, 3),
+    "body_angular_velocity": (_BODIES, 3),
+    "torque": (g1.NUM_JOINTS,),
+    "foot_force": (2, 3),
+}
+_WIDTHS = tuple(math.prod(shape) for shape in _SHAPES.values())
+
+
+def _as_table(frames: RobotState) -> torch.Tensor:
+    """States ``(F, ...)`` as one row each, ``(F, d)``."""
+    return torch.cat([getattr(frames, name).flatten(1) for name in _SHAPES], 1)
+
+
+def _as_state(table: torch.Tensor) -> RobotState:
+    """Rows ``(n, d)`` as states, without copying."""
+    parts = zip(_SHAPES.items(), table.split(_WIDTHS, 1), strict=True)
+    return RobotState(**{k: part.unflatten(1, shape) for (k, shape), part in parts})
+
+
+def _distinct(names: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(sorted(set(names)))
 
 
 def build_reference(clips: list[Clip], model: mujoco.MjModel) -> ReferenceMotions:
@@ -101,14 +151,20 @@ def build_reference(clips: list[Clip], model: mujoco.MjModel) -> ReferenceMotion
 
     ends = np.cumsum(lengths) - 1
     clip_index = np.repeat(np.arange(len(clips)), lengths)
+    table = _as_table(
+        read_state(layout, tensor(qpos_parts), tensor(qvel_parts), tensor(sensor_parts))
+    )
+    categories = tuple(clip.info.category for clip in clips)
+    known = _distinct(categories)
+    category_index = np.array([known.index(name) for name in categories])[clip_index]
     return ReferenceMotions(
         qpos=np.concatenate(qpos_parts),
         qvel=np.concatenate(qvel_parts),
-        frames=read_state(
-            layout, tensor(qpos_parts), tensor(qvel_parts), tensor(sensor_parts)
-        ),
+        frames=_as_state(table),
+        table=table,
         clip=torch.tensor(clip_index),
         last=torch.tensor(ends[clip_index]),
+        category=torch.tensor(category_index),
         names=tuple(clip.info.name for clip in clips),
-        categories=tuple(clip.info.category for clip in clips),
+        categories=categories,
     )

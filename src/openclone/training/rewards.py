@@ -11,20 +11,27 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
-import numpy as np
 import torch
 
+from openclone.policy.constants import Constant
 from openclone.policy.observation import gravity_b
+from openclone.policy.teacher import evenly_spaced
 from openclone.robot import g1
 from openclone.robot.state import RobotState, key_point_poses
 from openclone.spatial import rotations
 
-_FEET = list(g1.FEET)
-_WRISTS = list(g1.WRISTS)
+_FEET = evenly_spaced(g1.FEET)
+_WRISTS = evenly_spaced(g1.WRISTS)
 _CONTACT_N = 1.0
 _AIR_SECONDS = 0.3
 _SATURATED = 0.999
 """MuJoCo clips torques at the limit, so a motor at its limit reads just that."""
+_TORQUE_LIMIT = Constant(_SATURATED * g1.MAX_TORQUE)
+_LOWER, _UPPER = Constant(g1.JOINT_LOWER), Constant(g1.JOINT_UPPER)
+_MARGIN = 0.025 * (g1.JOINT_UPPER - g1.JOINT_LOWER)
+_INNER_LOWER = Constant(g1.JOINT_LOWER + _MARGIN)
+_INNER_UPPER = Constant(g1.JOINT_UPPER - _MARGIN)
+_MAX_SPEED = Constant(g1.MAX_SPEED)
 
 
 @dataclass(frozen=True)
@@ -74,10 +81,6 @@ def _squared(difference: torch.Tensor) -> torch.Tensor:
     return (difference * difference).sum(-1)
 
 
-def _table(values: np.ndarray, like: torch.Tensor) -> torch.Tensor:
-    return torch.as_tensor(values, dtype=like.dtype, device=like.device)
-
-
 def _tilt(quat: torch.Tensor) -> torch.Tensor:
     """Sine of the angle between a body's z axis and the vertical, (...)."""
     return gravity_b(quat)[..., :2].norm(dim=-1)
@@ -93,22 +96,21 @@ def torque(s: TrackingState) -> torch.Tensor:
 
 def torque_limits(s: TrackingState) -> torch.Tensor:
     """Torque limits: how many motors are at their limit."""
-    limit = _SATURATED * _table(g1.MAX_TORQUE, s.robot.torque)
-    return (s.robot.torque.abs() >= limit).float().sum(-1)
+    torque = s.robot.torque
+    return (torque.abs() >= _TORQUE_LIMIT.like(torque)).float().sum(-1)
 
 
 def dof_position_limits(s: TrackingState) -> torch.Tensor:
     """DoF position limits: how many joints are beyond their range."""
     angles = s.robot.joint_angles
-    below = angles < _table(g1.JOINT_LOWER, angles)
-    above = angles > _table(g1.JOINT_UPPER, angles)
-    return (below | above).float().sum(-1)
+    outside = (angles < _LOWER.like(angles)) | (angles > _UPPER.like(angles))
+    return outside.float().sum(-1)
 
 
 def dof_velocity_limits(s: TrackingState) -> torch.Tensor:
     """DoF velocity limits: how many joints turn faster than their motor may."""
     speed = s.robot.joint_velocities.abs()
-    return (speed > _table(g1.MAX_SPEED, speed)).float().sum(-1)
+    return (speed > _MAX_SPEED.like(speed)).float().sum(-1)
 
 
 def termination(s: TrackingState) -> torch.Tensor:
@@ -278,11 +280,9 @@ def hand_rotation(s: TrackingState) -> torch.Tensor:
 
 def dof_margin(s: TrackingState) -> torch.Tensor:
     """Radians by which joints leave the inner 95 % of their range."""
-    margin = 0.025 * (g1.JOINT_UPPER - g1.JOINT_LOWER)
     angles = s.robot.joint_angles
-    low = _table(g1.JOINT_LOWER + margin, angles)
-    high = _table(g1.JOINT_UPPER - margin, angles)
-    return (low - angles).clamp(min=0).sum(-1) + (angles - high).clamp(min=0).sum(-1)
+    below = (_INNER_LOWER.like(angles) - angles).clamp(min=0)
+    return (below + (angles - _INNER_UPPER.like(angles)).clamp(min=0)).sum(-1)
 
 
 def feet_still(s: TrackingState) -> torch.Tensor:
@@ -305,5 +305,5 @@ def contact_mismatch(s: TrackingState) -> torch.Tensor:
 
 def airborne(s: TrackingState) -> torch.Tensor:
     """In the air although the reference has a foot on the ground: no hopping gaits."""
-    low = s.reference.body_position[:, _FEET, 2].min(dim=-1).values < 0.06
+    low = s.reference.body_position[:, _FEET, 2].amin(-1) < 0.06
     return (~_loaded(s).any(-1) & low).float()

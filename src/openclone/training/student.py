@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +34,9 @@ from openclone.training.teacher import load_critic, load_teacher
 
 CHECKPOINT = "student.pt"
 BUNDLE = "student.onnx"
+KEPT = "bundles"
+_KEPT_MINUTES = 1.9
+"""Minutes between kept bundles; a little less than two, as lines come in steps."""
 _CRITIC = "critic"
 _SHOWN = (
     "falls/1000", "error_mm", "reward", "gap", "loss/imitation", "loss/balance",
@@ -85,6 +89,7 @@ class StudentTrainer:
             preset.network, preset.ppo.initial_std, preset.history
         )
         self.trained, self.phase = Trained(), "dagger"
+        self._kept_at = 0.0
 
     def view(self, config: TaskConfig) -> StudentView:
         """A fresh task seen through the student's sensors."""
@@ -119,6 +124,22 @@ class StudentTrainer:
         finally:
             self.student.mlp = newest
         self.student.train()
+        self._keep(trained.minutes)
+
+    def _keep(self, minutes: float) -> None:
+        """Keep a copy of the bundle now and then, to see how the student learned.
+
+        The distances grow with the run, so that a long one leaves about as many.
+        """
+        if minutes < self._kept_at:  # a new phase
+            self._kept_at = 0.0
+        written = (self.out / BUNDLE).is_file()
+        if written and minutes - self._kept_at >= max(_KEPT_MINUTES, minutes / 20):
+            self._kept_at = minutes
+            name = "student" if self.phase == "dagger" else f"student_{self.phase}"
+            (self.out / KEPT).mkdir(exist_ok=True)
+            copy = self.out / KEPT / f"{name}_{minutes:.1f}.onnx"
+            shutil.copyfile(self.out / BUNDLE, copy)
 
     def resume(self, path: Path) -> dict[str, Any]:
         """Load the checkpoint ``path``; returns its content."""
@@ -149,7 +170,8 @@ def train_student(
         clips: the data set; the preset chooses categories and mirrors.
         teacher: checkpoint of `train_teacher`.
         preset: every setting.
-        out: folder for checkpoint, bundle and event files.
+        out: folder for checkpoint, bundle, event files and, in ``bundles``, earlier
+            bundles by minutes.
         minutes: wall time of DAgger instead of the preset's.
         tuning_minutes: wall time of PPO instead of the preset's; 0 for none.
         resume: go on from the checkpoint in ``out``, time included.

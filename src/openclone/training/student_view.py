@@ -9,12 +9,15 @@ from openclone.odometry.faults import OdometryFaults, OdometryFaultsConfig
 from openclone.odometry.noise import OdometryNoise, OdometryNoiseConfig
 from openclone.policy import observation
 from openclone.policy.command import Command, KeyPoints
+from openclone.policy.constants import Constant
 from openclone.policy.observation import History, Proprioception
 from openclone.robot import g1
 from openclone.robot.model import CONTROL_PERIOD
 from openclone.robot.state import key_point_poses, key_point_velocities
 from openclone.spatial import rotations
 from openclone.training.task import StepResult, TrackingTask
+
+_DEFAULT_POSE = Constant(g1.DEFAULT_POSE)
 
 
 class StudentView:
@@ -38,17 +41,17 @@ class StudentView:
             faults: what else is wrong with it; None: nothing.
         """
         self.task = task
-        self._default = torch.tensor(g1.DEFAULT_POSE, dtype=torch.float32)
         self._scale = task.action_scale
+        self._default = _DEFAULT_POSE.like(self._scale)
         self._noise = OdometryNoise(task.num_envs, noise, rng)
-        self._error = torch.zeros(task.num_envs, 1, 3)
+        self._error = torch.zeros(task.num_envs, 1, 3, device=task.device)
         self._faults = None
         if faults is not None and faults != OdometryFaultsConfig():
             # A stream of its own leaves the draws of Eq. 2 as they are without faults.
             stream = rng.spawn(1)[0]
             start = self._head_position()
             self._faults = OdometryFaults(start, faults, CONTROL_PERIOD, stream)
-        self.action = torch.zeros(task.num_envs, g1.NUM_JOINTS)
+        self.action = torch.zeros_like(task.action)
         self.history = History(self._frame(), history)
 
     def to_target(self, action: torch.Tensor) -> torch.Tensor:
@@ -91,12 +94,14 @@ class StudentView:
 
     def step(self, action: torch.Tensor) -> StepResult:
         """Apply the student's action for one period and take in the new sensors."""
-        result = self.task.step(self.to_target(action))
+        task = self.task
+        result = task.step(self.to_target(action))
         self.action = action.clone()
-        robot = self.task.robot_state()
-        ids = torch.nonzero(result.done).squeeze(-1)
+        robot = task.robot_state()
+        ids = result.ended.to(task.device)
         self.action[ids] = 0.0
-        self._measure(ids.numpy(), key_point_velocities(robot)[:, 0].numpy())
+        velocity = key_point_velocities(robot)[:, 0]
+        self._measure(result.ended.numpy(), velocity.cpu().numpy())
         frame = self._frame()
         self.history.push(frame)
         self.history.refill(ids, frame[ids])
@@ -105,7 +110,7 @@ class StudentView:
     def _head_position(self) -> np.ndarray:
         robot = self.task.robot_state()
         points, _ = key_point_poses(robot.body_position, robot.body_quat)
-        return points[:, 0].double().numpy()
+        return points[:, 0].double().cpu().numpy()
 
     def _measure(self, born: np.ndarray, velocity: np.ndarray) -> None:
         """New odometry error of the head; ``born`` robots start without any."""
@@ -115,4 +120,4 @@ class StudentView:
             position = self._head_position()
             self._faults.reset(born, position[born])
             error = self._faults.step(position, error) - position
-        self._error = torch.from_numpy(error.astype(np.float32))[:, None]
+        self._error = torch.from_numpy(error).to(self._error)[:, None]

@@ -3,49 +3,54 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 
-from openclone.policy.teacher import teacher_observation
+from openclone.policy.constants import Constant
+from openclone.policy.teacher import evenly_spaced, teacher_observation
 from openclone.robot import g1
 from openclone.robot.model import CONTROL_PERIOD, SensorLayout
 from openclone.robot.state import RobotState, read_state
-from openclone.spatial import rotations
 from openclone.training.births import displace, to_standing
 from openclone.training.physics import Physics
 from openclone.training.randomization import ActionPath, RobotFactory
 from openclone.training.reference import ReferenceMotions
 from openclone.training.reward_table import total_reward
 from openclone.training.rewards import TrackingState
+from openclone.training.starts import StartFrames
 from openclone.training.task_config import TaskConfig
 from openclone.training.task_config import TerminationLimits as TerminationLimits
 from openclone.training.terrain import Terrain
 
-_BIN = 25
+_ENDS = (evenly_spaced(g1.FEET), evenly_spaced(g1.WRISTS))
+_SETTLING_STEPS = 150
+"""Robots born away from the reference get so long to come closer."""
+_ACTION_SCALE = Constant(g1.ACTION_SCALE)
 
 
 @dataclass(frozen=True)
 class StepResult:
-    """What one control step brought, n robots.
+    """What one control step brought, n robots; all on the task's device.
 
     Attributes:
         reward: (n,).
         terminated: (n,) bool, failed.
         timed_out: (n,) bool, episode or clip over without failure.
-        terms: mean of each reward term, per second.
-        error: metres, mean key-body error in the world.
-        outcomes: for each motion category, one bool per episode that ended in this
-            step: whether it came to its end without failure.
+        terms: mean of each reward term, per second, scalars.
+        error: metres, mean key-body error in the world, a scalar.
+        category: (n,), number of the motion category that each robot was tracking.
+        ended: (k,), the robots that were reset; on the CPU.
     """
 
     reward: torch.Tensor
     terminated: torch.Tensor
     timed_out: torch.Tensor
-    terms: dict[str, float]
-    error: float
-    outcomes: dict[str, list[bool]] = field(default_factory=dict)
+    terms: dict[str, torch.Tensor]
+    error: torch.Tensor
+    category: torch.Tensor
+    ended: torch.Tensor
 
     @property
     def done(self) -> torch.Tensor:
@@ -83,39 +88,37 @@ class TrackingTask:
             seed: of all randomness.
             terrain: uneven ground; None if all is flat.
         """
-        self.reference = reference
+        self.device = physics.device
+        self.reference = reference = reference.to(self.device)
         self.physics = physics
         self.config = config
-        self.num_envs = physics.num_envs
-        self.action_scale = torch.tensor(g1.ACTION_SCALE, dtype=torch.float32)
+        self.num_envs = n = physics.num_envs
         self._layout = layout
         self._rng = np.random.default_rng(seed)
         self._torch_rng = torch.Generator().manual_seed(seed)
         # Streams of its own, so that a range of zero leaves all other draws alone.
         stream = np.random.default_rng([seed, 2])
         self._terrain, self._terrain_rng = terrain, np.random.default_rng([seed, 3])
-        self._origin = np.zeros((physics.num_envs, 3))
-        delays = torch.Generator(physics.device).manual_seed(seed + 1)
-        self._path = ActionPath(config.randomization, physics.num_envs, delays)
+        self._origin = torch.zeros(n, 1, 3, device=self.device)
+        delays = torch.Generator(self.device).manual_seed(seed + 1)
+        self._path = ActionPath(config.randomization, n, delays)
         self._factory = RobotFactory(config.randomization, physics, self._path, stream)
-        n = self.num_envs
-        self.frame = torch.zeros(n, dtype=torch.long)
-        self.age = torch.randint(
-            0, config.episode_steps, (n,), generator=self._torch_rng
-        )
-        self.action = torch.zeros(n, g1.NUM_JOINTS)
+        ages = torch.randint(0, config.episode_steps, (n,), generator=self._torch_rng)
+        self.starts = StartFrames(reference, config.failure_share, self._torch_rng)
+        self.frame = torch.zeros(n, dtype=torch.long, device=self.device)
+        self.age = torch.zeros_like(self.frame)
+        self.action = torch.zeros(n, g1.NUM_JOINTS, device=self.device)
+        self.action_scale = _ACTION_SCALE.like(self.action)
         self.style: Style | None = None
-        self._air_time = torch.zeros(n, 2)
-        bins = reference.num_frames // _BIN + 1
-        self.failures = torch.full((bins,), 0.1)
-        self._visits = torch.ones(bins)
-        self._looked_up: tuple[torch.Tensor, RobotState] | None = None
-        self._displaced = torch.zeros(n, dtype=torch.bool)
-        self._born_age = torch.zeros(n, dtype=torch.long)
-        ages = self.age.clone()
+        self._air_time = torch.zeros(n, 2, device=self.device)
+        self._displaced = torch.zeros(n, dtype=torch.bool, device=self.device)
+        self._born_age = torch.zeros_like(self.frame)
+        self._following: torch.Tensor | None = None
+        self._looked_up: RobotState | None = None
         self._reset(torch.arange(n))
         # Spread the episodes' ends, so that resets do not come all at once.
-        self.age[:] = self._born_age[:] = ages
+        self.age = ages.to(self.device)
+        self._born_age = self.age.clone()
 
     # What the policies see -----------------------------------------------------------
 
@@ -123,34 +126,35 @@ class TrackingTask:
         """Current states of the robots, float32."""
         return self._state
 
+    def jump_to(self, frame: torch.Tensor) -> None:
+        """Put the reference of every robot at ``frame (n,)``; the robots stay."""
+        self.frame = frame.to(self.device)
+        self._following = self._looked_up = None
+
     def next_frame(self) -> torch.Tensor:
         """(n,) index of the reference frame for the next step, t + 1."""
-        return torch.minimum(self.frame + 1, self.reference.last[self.frame])
+        if self._following is None:
+            last = self.reference.last[self.frame]
+            self._following = torch.minimum(self.frame + 1, last)
+        return self._following
 
     def next_reference(self) -> RobotState:
-        """Reference states at t + 1."""
-        return self._reference_at(self.next_frame())
-
-    def _reference_at(self, frame: torch.Tensor) -> RobotState:
-        """Reference states; observing and stepping ask for the same ones."""
-        if self._looked_up is None or not torch.equal(self._looked_up[0], frame):
-            # A copy: resets change the frames in place.
-            self._looked_up = (frame.clone(), self.reference.at(frame))
-        return self._looked_up[1]
+        """Reference states at t + 1; observing and stepping ask for the same ones."""
+        if self._looked_up is None:
+            self._looked_up = self.reference.at(self.next_frame())
+        return self._looked_up
 
     def residual_to_target(self, action: torch.Tensor) -> torch.Tensor:
         """Joint targets of the teacher's action: an offset to the reference angles."""
-        angles = self.reference.frames.joint_angles[self.next_frame()]
-        return angles + self.action_scale * action
+        return self.next_reference().joint_angles + self.action_scale * action
 
     def teacher_observation(self) -> torch.Tensor:
         """(n, d): the privileged observation of section 3.1."""
-        following = self.next_frame()
-        reference = self._reference_at(following)
-        bodies = self.reference.frames.body_position
+        following, reference = self.next_frame(), self.next_reference()
         last = self.reference.last[following]
         ahead = torch.minimum(following + self.config.lead_frames, last)
-        lead = bodies[ahead, g1.TORSO] - bodies[following, g1.TORSO]
+        torso = self.reference.frames.body_position[:, g1.TORSO]
+        lead = torso.index_select(0, ahead) - reference.body_position[:, g1.TORSO]
         lead[:, 2] = 0.0
         shifted = replace(
             reference, body_position=reference.body_position + lead[:, None]
@@ -166,14 +170,13 @@ class TrackingTask:
             Rewards and flags of the step; observations afterwards belong to the new
             episodes where ``done`` is set.
         """
-        following = self.next_frame()
-        reference = self._reference_at(following)
+        following, reference = self.next_frame(), self.next_reference()
         previous_action = self.action
         self.action = (targets - reference.joint_angles) / self.action_scale
         before = self._state
         self._push()
         self.physics.step(self._path(targets))
-        self.frame = following
+        self.jump_to(following)
         self.age += 1
         self._read()
         tracking = TrackingState(
@@ -182,7 +185,7 @@ class TrackingTask:
             action=self.action,
             previous_action=previous_action,
             previous_velocities=before.joint_velocities,
-            terminated=torch.zeros(self.num_envs, dtype=torch.bool),
+            terminated=torch.zeros_like(self._displaced),
             air_time=self._air_time,
             style=self._style_reward(before),
             period=CONTROL_PERIOD,
@@ -200,43 +203,33 @@ class TrackingTask:
             self.frame >= self.reference.last[self.frame]
         )
         timed_out = over & ~terminated
-        self._count_failures(terminated)
+        self.starts.count(self.frame, terminated)
         error = (self._state.body_position - reference.body_position).norm(dim=-1)
-        ids = torch.nonzero(terminated | timed_out).squeeze(-1)
-        outcomes = self._outcomes(ids, terminated)
-        if len(ids):
-            self._reset(ids)
+        means = torch.stack(tuple(terms.values())).mean(-1).unbind()
+        category = self.reference.category[self.frame]
+        ended = torch.nonzero((terminated | timed_out).cpu()).squeeze(-1)
+        if len(ended):
+            self._reset(ended)
         return StepResult(
             reward=reward,
             terminated=terminated,
             timed_out=timed_out,
-            terms={name: float(value.mean()) for name, value in terms.items()},
-            error=float(error.mean()),
-            outcomes=outcomes,
+            terms=dict(zip(terms, means, strict=True)),
+            error=error.mean(),
+            category=category,
+            ended=ended,
         )
 
     def _style_reward(self, before: RobotState) -> torch.Tensor:
         if self.style is None:
-            return torch.zeros(self.num_envs)
+            return self._air_time.new_zeros(self.num_envs)
         return self.style(before, self._state)
-
-    def _outcomes(
-        self, ids: torch.Tensor, terminated: torch.Tensor
-    ) -> dict[str, list[bool]]:
-        """Which of the episodes ``ids`` ended well, by motion category."""
-        outcomes: dict[str, list[bool]] = {}
-        for robot in ids.tolist():
-            clip = int(self.reference.clip[self.frame[robot]])
-            ended = outcomes.setdefault(self.reference.categories[clip], [])
-            ended.append(not bool(terminated[robot]))
-        return outcomes
 
     def _read(self) -> None:
         qpos, qvel, sensordata = self.physics.read()
         if self._terrain is not None:
-            origin = torch.from_numpy(self._origin).to(sensordata)
-            bodies = sensordata[:, self._layout.position]
-            bodies -= origin.repeat(1, bodies.shape[1] // 3)
+            bodies = sensordata[:, self._layout.position].unflatten(1, (-1, 3))
+            bodies -= self._origin
         self._state = read_state(self._layout, qpos, qvel, sensordata)
 
     def _push(self) -> None:
@@ -252,23 +245,18 @@ class TrackingTask:
         """(n,) bool: beyond the termination limits."""
         limits, torso = self.config.limits, g1.TORSO
         robot, reference = tracking.robot, tracking.reference
-        height = robot.body_position[:, torso, 2] - reference.body_position[:, torso, 2]
-        vertical = robot.body_quat.new_tensor([0.0, 0.0, 1.0])
-        up = rotations.rotate(robot.body_quat[:, torso], vertical)
-        up_wanted = rotations.rotate(reference.body_quat[:, torso], vertical)
+        too_high = robot.body_position[..., 2] - reference.body_position[..., 2]
+        height = too_high[:, torso]
+        up, up_wanted = (_vertical(s.body_quat[:, torso]) for s in (robot, reference))
         tilt = torch.arccos((up * up_wanted).sum(-1).clamp(-1, 1))
         angle = tracking.angles[:, torso]
-        ends = [*g1.FEET, *g1.WRISTS]
-        end_height = (
-            robot.body_position[:, ends, 2] - reference.body_position[:, ends, 2]
-        )
+        ends = torch.cat([too_high[:, part] for part in _ENDS], 1).abs().amax(-1)
         distance = tracking.point_offsets.norm(dim=-1).mean(-1)
-        # Robots born away from the reference get time to come closer.
-        settling = self._displaced & (self.age < self._born_age + 150)
+        settling = self._displaced & (self.age < self._born_age + _SETTLING_STEPS)
         strict = (
             (height.abs() > limits.height)
             | (angle > limits.angle)
-            | (end_height.abs() > limits.end_effector).any(-1)
+            | (ends > limits.end_effector)
             | (distance > limits.distance)
         )
         loose = (
@@ -280,40 +268,10 @@ class TrackingTask:
 
     # Resetting -----------------------------------------------------------------------
 
-    def _count_failures(self, terminated: torch.Tensor) -> None:
-        """Keep the failure rate of each half-second bin as a moving average."""
-        bins = self.frame // _BIN
-        size = len(self.failures)
-        self.failures *= 0.9995
-        self._visits *= 0.9995
-        self._visits += torch.bincount(bins, minlength=size) / _BIN
-        if terminated.any():
-            self.failures += torch.bincount(bins[terminated], minlength=size)
-
-    def _sample_frames(self, count: int) -> torch.Tensor:
-        """Start frames: partly where robots fail, partly uniform, up to 1 s earlier."""
-        rate = (self.failures / (self._visits + 1.0)).clamp(max=0.5) + 0.01
-        # Thousands of easy bins would outweigh the few hard ones.
-        rate = rate**1.5
-        share = self.config.failure_share
-        chance = share * rate / rate.sum() + (1 - share) / len(rate)
-        bins = torch.multinomial(
-            chance, count, replacement=True, generator=self._torch_rng
-        )
-        offset = torch.randint(-_BIN, _BIN, (count,), generator=self._torch_rng)
-        last_frame = self.reference.num_frames - 1
-        wanted = (bins * _BIN).clamp(max=last_frame)
-        first = torch.searchsorted(
-            self.reference.clip, self.reference.clip[wanted].contiguous()
-        )
-        last = self.reference.last[wanted]
-        latest = torch.maximum(first, last - _BIN)
-        return torch.minimum(torch.maximum(wanted + offset, first), latest)
-
     def _reset(self, ids: torch.Tensor) -> None:
-        """Start new episodes on (or near) the reference."""
+        """Start new episodes of the robots ``ids`` (CPU) on or near the reference."""
         count, rng, config = len(ids), self._rng, self.config
-        start = self._sample_frames(count)
+        start = self.starts.draw(count)
         qpos = self.reference.qpos[start.numpy()].copy()
         qvel = self.reference.qvel[start.numpy()].copy()
         draw = rng.random(count)
@@ -332,19 +290,28 @@ class TrackingTask:
         qpos[:, 7:] += 0.05 * rng.standard_normal((count, g1.NUM_JOINTS))
         qpos[:, 2] += 0.01
         qvel[:, :6] += 0.1 * rng.standard_normal((count, 6))
-        self.frame[ids] = start
-        self.age[ids] = 0
-        self._born_age[ids] = 0
-        self._displaced[ids] = torch.from_numpy(standing | displaced)
-        robots = ids.numpy()
+        robots, chosen = ids.numpy(), ids.to(self.device)
         self._factory.rebuild(robots, torch.from_numpy(qpos[:, 7:]))
         if self._terrain is not None:
             terrain = self._terrain
             origin = terrain.origins(robots, qpos[:, :2], self._terrain_rng)
-            self._origin[robots] = origin
+            self._origin[chosen, 0] = torch.from_numpy(origin).to(self._origin)
             qpos[:, :3] += origin
             qpos[:, 2] += terrain.clearance(qpos[:, :2])
         self.physics.reset(robots, qpos, qvel)
+        frame = self.frame.clone()
+        frame[chosen] = start.to(self.device)
+        self.jump_to(frame)
+        away = torch.from_numpy(standing | displaced)
+        self._displaced[chosen] = away.to(self.device)
+        for counter in (self.age, self._born_age, self.action, self._air_time):
+            counter[chosen] = 0
         self._read()
-        self.action[ids] = 0.0
-        self._air_time[ids] = 0.0
+
+
+def _vertical(quat: torch.Tensor) -> torch.Tensor:
+    """World coordinates of the z axes of bodies, ``(n, 4) -> (n, 3)``."""
+    w, x, y, z = quat.unbind(-1)
+    return torch.stack(
+        (2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)), -1
+    )

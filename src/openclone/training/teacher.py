@@ -92,8 +92,9 @@ class TeacherTrainer:
             if self.style is not None and content.get("amp"):
                 self.style.load_state_dict(content["amp"])
             # The failure rates belong to the clips they were counted on.
-            if content["failures"].shape == self.task.failures.shape:
-                self.task.failures = content["failures"]
+            starts = self.task.starts
+            if content["failures"].shape == starts.failures.shape:
+                starts.failures = content["failures"].to(starts.failures)
             return trained_so_far(content)
 
     def save(self, path: Path, progress: Progress) -> None:
@@ -107,7 +108,7 @@ class TeacherTrainer:
             "steps": trained.steps,
             "minutes": trained.minutes,
             "iterations": trained.iterations,
-            "failures": self.task.failures,
+            "failures": self.task.starts.failures,
             "data_hash": self.data_hash,
             "amp": self.style.state_dict() if self.style is not None else {},
         }
