@@ -20,6 +20,7 @@ from openclone.errors import InputError
 from openclone.evaluation.sensor_recording import record_walk
 from openclone.odometry.fast_lio import FastLio
 from openclone.odometry.recording import read_samples
+from openclone.odometry.rko import RkoLio, RkoLioConfig
 from openclone.odometry.samples import ImuSample, LidarScan, PoseSample, SensorSample
 from openclone.odometry.trajectory import Trajectory, sample_at
 from openclone.policy.bundle import load_bundle
@@ -179,6 +180,31 @@ def test_clock_that_is_wrong_from_the_start(walk, offset_ms: int) -> None:
     assert run.lio.health().clock_offset_ns * 1e-6 == pytest.approx(-offset_ms, abs=10)
     assert run.tracking[-1]
     assert run.errors[-1] < 0.03
+
+
+def test_rko_between_and_beyond_its_late_scans(walk) -> None:
+    """What a loop asks: poses of now, while the newest scan is 40 to 140 ms old."""
+    errors = {}
+    for follow_imu in (True, False):
+        rko, waiting, rows = RkoLio(RkoLioConfig(follow_imu=follow_imu)), [], []
+        for sample in walk:
+            if isinstance(sample, LidarScan):
+                waiting.append(sample)
+            elif isinstance(sample, ImuSample):
+                now_ns = sample.stamp_ns
+                rko.add_imu(now_ns, sample.gyro, sample.accel)
+                if waiting and waiting[0].stamps_ns.max() + 40_000_000 <= now_ns:
+                    late = waiting.pop(0)
+                    rko.add_scan(late.points, late.stamps_ns)
+                if now_ns % 20_000_000 == 0 and now_ns > 1_000_000_000:
+                    rows.append((now_ns, rko.pose_at(now_ns)))
+        end_ns = max(s.stamp_ns for s in walk if isinstance(s, PoseSample))
+        rows = [row for row in rows if row[0] <= end_ns]
+        stamps = np.array([row[0] for row in rows])
+        each = position_errors(walk, stamps, [row[1] for row in rows])
+        errors[follow_imu] = np.percentile(each[stamps > FAULT_NS], 95)
+    assert errors[True] < 0.03
+    assert errors[True] < 0.7 * errors[False]
 
 
 def test_dropped_scans(walk) -> None:
