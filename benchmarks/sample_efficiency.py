@@ -2,15 +2,18 @@
 
     python benchmarks/sample_efficiency.py RUN_FOLDER...
     python benchmarks/sample_efficiency.py --checkpoints RUN_FOLDER...
-    python benchmarks/sample_efficiency.py --train quickstart RUN_FOLDER
 
-The first form draws what training itself logged: the share of its episodes that came to
-their end, from the starts that training draws (hard ones more often) and, for PPO, with
-exploration noise. While the student learns, the teacher acts for it now and then in the
-first 60 rounds. The second form also runs the bundles in ``RUN_FOLDER/kept`` in closed
-loop on synthetic motions of a seed that no training uses, with odometry noise: that is
-the success that counts. The third form trains first, and puts a bundle aside every
-minute; ``--keep`` does that beside a training that runs already, until it ends.
+``RUN_FOLDER`` is what `openclone train student --preset quickstart --out RUN_FOLDER`
+leaves, or any other run of the teacher or the student.
+
+The first form draws what training itself logged: the share of its episodes that came
+to their end. Training starts most of them where the robot still fails, and PPO adds
+exploration noise, so this figure understates what has been learned and need not rise.
+While the student learns, the teacher acts for it now and then in the first 60 rounds.
+
+The second form also runs the bundles that training keeps on the way (``bundles``) in
+closed loop on synthetic motions of a seed that no training uses, with odometry noise:
+that is the success that counts.
 """
 
 from __future__ import annotations
@@ -19,9 +22,7 @@ import argparse
 import csv
 import json
 import os
-import subprocess
 import sys
-import time
 import zlib
 from pathlib import Path
 
@@ -38,8 +39,6 @@ from openclone.motion.sources.synthetic import generate
 from training_curve import Curve, Logged
 
 _HELD_OUT_SEED = 30_000
-_QUIET_S = 600.0
-"""A training that has not written for this long has ended."""
 COLORS = ("#1f6feb", "#bf8700", "#1a7f37", "#8250df")
 
 
@@ -53,43 +52,6 @@ def held_out(categories: tuple[str, ...], per_category: int) -> list[Clip]:
             )
             clips.append(generate(name, rng, f"held-out/{name}_{number:02d}"))
     return clips
-
-
-def train(preset: str, run: Path, extra: list[str], every_s: float) -> None:
-    """Train with the command line, and put bundles aside meanwhile."""
-    command = [sys.executable, "-m", "openclone.cli", "train", "student"]
-    command += ["--preset", preset, "--out", str(run), *extra]
-    # Training chooses its own number of threads.
-    environment = {k: v for k, v in os.environ.items() if k != "OMP_NUM_THREADS"}
-    process = subprocess.Popen(command, env=environment)
-    try:
-        while process.poll() is None:
-            _wait(process, every_s)
-            training_curve.keep(run)
-    finally:
-        process.terminate()
-    if process.wait() != 0:
-        raise SystemExit(process.returncode)
-
-
-def _wait(process: subprocess.Popen[bytes], seconds: float) -> None:
-    try:
-        process.wait(seconds)
-    except subprocess.TimeoutExpired:
-        return
-
-
-def keep_until_quiet(run: Path, every_s: float) -> None:
-    """Put bundles aside until nothing in the run has changed for ten minutes."""
-    while True:
-        kept = training_curve.keep(run)
-        if kept is not None:
-            print(f"kept {kept.name}", flush=True)
-        files = [file for file in run.rglob("*") if file.is_file()]
-        newest = max((file.stat().st_mtime for file in files), default=time.time())
-        if time.time() - newest > _QUIET_S:
-            return
-        time.sleep(every_s)
 
 
 def draw(curves: list[Curve], file: Path) -> None:
@@ -236,22 +198,13 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("runs", nargs="+", type=Path, metavar="RUN_FOLDER")
-    parser.add_argument("--checkpoints", action="store_true", help="run the bundles")
+    parser.add_argument("--checkpoints", action="store_true", help="run kept bundles")
     parser.add_argument("--clips", type=int, default=6, help="per category")
     parser.add_argument("--seed", type=int, default=0, help="of the odometry error")
-    parser.add_argument("--train", metavar="PRESET", help="train the student first")
-    parser.add_argument("--keep", action="store_true", help="beside a training")
-    parser.add_argument("--every", type=float, default=1.0, help="minutes, of keeping")
     parser.add_argument("--out", type=Path, help="default: the first run's folder")
-    arguments, extra = parser.parse_known_args()
-    if extra and not arguments.train:
-        parser.error(f"unknown: {' '.join(extra)} (only --train passes options on)")
-    if arguments.train:
-        train(arguments.train, arguments.runs[0], extra, 60.0 * arguments.every)
-    elif arguments.keep:
-        keep_until_quiet(arguments.runs[0], 60.0 * arguments.every)
+    arguments = parser.parse_args()
     curves = [training_curve.read_curve(run) for run in arguments.runs]
-    if arguments.checkpoints or arguments.train or arguments.keep:
+    if arguments.checkpoints:
         for curve, run in zip(curves, arguments.runs, strict=True):
             clips = held_out(curve.categories, arguments.clips)
             curve.evaluated.extend(

@@ -8,7 +8,6 @@ student's steps and minutes count on from the teacher's.
 from __future__ import annotations
 
 import re
-import shutil
 from collections import defaultdict
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,9 +21,10 @@ from openclone.policy.bundle import load_bundle
 
 EVENTS = "events.out.tfevents."
 TEACHER, STUDENT = "teacher", "student"
-KEPT = "kept"
-"""Folder in a run for the bundles of its course."""
+KEPT = "bundles"
+"""Folder in a run where training keeps a bundle every two minutes or so."""
 _SUCCESS = "success/"
+_NAME = re.compile(r"_(?P<minutes>[0-9]+[.][0-9])$")
 _NOTE = re.compile(r"(?P<phase>\w+), (?P<steps>\d+) steps, (?P<minutes>[\d.]+) minutes")
 
 
@@ -155,40 +155,22 @@ def trained(bundle: Path) -> tuple[str, int, float]:
             where=str(bundle),
             remedy="use bundles that `openclone train student` wrote",
         )
-    return found["phase"], int(found["steps"]), float(found["minutes"])
-
-
-def keep(run: Path) -> Path | None:
-    """Put the run's newest bundle aside, unless there is none or it is kept already."""
-    bundle = run / "student.onnx"
-    if not bundle.is_file():
-        return None
-    partial = run / KEPT / "newest.partial"
-    partial.parent.mkdir(parents=True, exist_ok=True)
-    # Training may replace the file at any moment: look at a copy.
-    shutil.copyfile(bundle, partial)
-    try:
-        _, steps, _ = trained(partial)
-    except InputError:
-        partial.unlink()
-        return None
-    kept = partial.with_name(f"student-{steps:09d}.onnx")
-    if kept.is_file():
-        partial.unlink()
-        return None
-    return partial.replace(kept)
+    # The note has whole minutes; the name of a kept bundle has tenths.
+    exact = _NAME.search(bundle.stem) or found
+    return found["phase"], int(found["steps"]), float(exact["minutes"])
 
 
 def evaluate(curve: Curve, run: Path, clips: list[Clip], seed: int) -> list[Evaluated]:
-    """Run the kept bundles of ``run`` on ``clips``."""
-    bundles = sorted((run / KEPT).glob("student-*.onnx"))
-    if not bundles and (run / "student.onnx").is_file():
-        bundles = [run / "student.onnx"]
+    """Run the kept bundles of ``run``, and its last one, on ``clips``."""
+    kept = sorted((trained(file)[1:], file) for file in (run / KEPT).glob("*.onnx"))
+    final = run / "student.onnx"
+    if final.is_file() and not (kept and trained(final)[1] == kept[-1][0][0]):
+        kept.append((trained(final)[1:], final))
     steps, minutes = curve.student_from
     phase, before, last = "", 0.0, 0.0
     found = []
-    for path in bundles:
-        now, at, spent = trained(path)
+    for (at, spent), path in kept:
+        now = trained(path)[0]
         if phase and now != phase:
             before += last  # PPO counts its minutes anew
         phase, last = now, spent

@@ -15,7 +15,6 @@ import sample_efficiency
 import training_curve
 from openclone.errors import InputError
 from openclone.motion.sources.synthetic import generate
-from openclone.policy.bundle import load_bundle
 from openclone.training.presets import STUDENTS, TEACHERS
 from openclone.training.student import train_student
 from openclone.training.teacher import train_teacher
@@ -110,16 +109,16 @@ def test_held_out_motions_are_always_the_same_and_differ_from_each_other():
 def test_a_run_of_the_smoke_presets_from_beginning_to_figure(tmp_path):
     clip = generate("stand", np.random.default_rng(0))
     run = tmp_path / "run"
-    assert training_curve.keep(run) is None  # nothing there yet
     teacher = train_teacher([clip], TEACHERS["smoke"], run / "teacher", threads=1)
     bundle = train_student(
         [clip], teacher, STUDENTS["smoke"], run, tuning_minutes=0.0, threads=1
     )
-    kept = training_curve.keep(run)
-    # 3 iterations of 4 steps of 16 robots.
-    assert kept == run / "kept" / "student-000000192.onnx"
-    assert training_curve.keep(run) is None  # the same one again
-    assert load_bundle(kept).info == load_bundle(bundle).info
+    # 3 iterations of 4 steps of 16 robots; as if one had been kept after 0.1 minutes.
+    assert training_curve.trained(bundle)[:2] == ("dagger", 192)
+    (run / training_curve.KEPT).mkdir(exist_ok=True)
+    kept = run / training_curve.KEPT / "student_0.1.onnx"
+    kept.write_bytes(bundle.read_bytes())
+    assert training_curve.trained(kept) == ("dagger", 192, 0.1)
     curve = training_curve.read_curve(run)
     assert {line.phase for line in curve.logged} <= {"teacher", "student"}
     assert curve.logged[-1].steps == 2 * 192
@@ -127,6 +126,7 @@ def test_a_run_of_the_smoke_presets_from_beginning_to_figure(tmp_path):
     curve.evaluated.extend(training_curve.evaluate(curve, run, clips, seed=0))
     [done] = curve.evaluated
     assert done.steps == 2 * 192
+    assert done.minutes == pytest.approx(curve.student_from[1] + 0.1)
     assert done.report.overall.sr in (0.0, 1.0)
     sample_efficiency.write([curve], tmp_path)
     assert "held-out motions: SR" in (tmp_path / "sample_efficiency.md").read_text()
