@@ -50,8 +50,8 @@ def squat_summary(report: SquatReport) -> str:
         f"{100 * TOLERANCE:.0f} cm of that {deepest.sr_reached:.0f} % "
         f"(target ≥ {TARGET_SR:.0f} %); reached on average {reached}.\n"
         "SR: no fall, head and hands within 1.5 m, upright again at the end. Below "
-        f"{DEEPEST:.1f} m there is no whole-body reference: with flat soles the G1's "
-        "links would be inside each other; only head and hands are commanded."
+        f"{DEEPEST:.1f} m there is no whole-body reference (the height edit finds no "
+        "sound pose with flat soles); only head and hands are commanded."
     )
 
 
@@ -88,7 +88,7 @@ def write_squat_report(report: SquatReport, intro: str, folder: Path) -> Path:
         table(SQUAT_HEAD, [squat_row(level) for level in report.stances]),
         picture(errors, "errors by height"),
         "<p class=small>Dashed: the paper's means over all its motions (Table 1); "
-        "it prints no figures for Fig. 3.</p>",
+        "its Fig. 3 is drawn, without numbers.</p>",
         "<h2>Heights of the operator, scaled to the robot</h2>",
         table(SQUAT_HEAD, [squat_row(level) for level in report.operator]),
     ]

@@ -2,8 +2,8 @@
 
 The paper edits motions to head heights of 1.2 m (standing) to 0.6 m (deep squatting):
 heights of the robot. A person whose head is 0.6 m above the ground is lower still once
-scaled to the robot, lower than a G1 with flat soles can be without bending its links
-into each other. There is no whole-body reference for that: head and hands are commanded
+scaled to the robot, lower than the editing of `motion.heights` finds sound poses with
+flat soles. There is no whole-body reference for that: head and hands are commanded
 further down, and only they are judged.
 """
 

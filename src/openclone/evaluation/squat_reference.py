@@ -14,8 +14,8 @@ from openclone.motion.planted import EditRefused
 from openclone.robot.model import CONTROL_PERIOD, build_model, standing_qpos
 
 DEEPEST = 0.6
-"""Metres; the lowest head of a whole-body reference with flat soles (`motion.heights`);
-lower, links would be inside each other."""
+"""Metres; the lowest head of a whole-body reference with flat soles. Already at 0.55 m
+the edit of `motion.heights` puts links into each other and is refused."""
 STAND_S, HOLD_S, AFTER_S = 1.0, 2.0, 2.0
 """Seconds: before going down, at the bottom, and after coming up."""
 _EDIT_S = 1.0
