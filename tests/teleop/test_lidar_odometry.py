@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 import time
 
 import mujoco
@@ -18,6 +19,7 @@ from openclone.spatial import rotations
 from openclone.spatial.poses import Pose
 from openclone.teleop.lidar_odometry import LidarOdometry
 from openclone.teleop.messages import OperatorRecording
+from openclone.teleop.realtime import realtime_priority
 from openclone.teleop.session import run_teleop
 
 TICK_NS = 20_000_000
@@ -40,6 +42,7 @@ class Oracle:
         self.imu_ns: list[int] = []
         self.scans: list[tuple[int, int]] = []
         self.asked_ns = 0
+        self.priorities: list[int] = []
 
     def add_imu(self, stamp_ns: int, gyro: np.ndarray, accel: np.ndarray) -> None:
         self.imu_ns.append(stamp_ns)
@@ -49,6 +52,7 @@ class Oracle:
             raise RuntimeError("broken")
         assert points.shape == (20_000, 3)
         self.scans.append((int(stamps_ns.max()), self.imu_ns[-1]))
+        self.priorities.append(os.sched_getparam(0).sched_priority)
 
     def pose_at(self, stamp_ns: int) -> tuple[np.ndarray, np.ndarray]:
         self.asked_ns = stamp_ns
@@ -132,6 +136,12 @@ def test_in_real_time_frames_are_worked_off_beside_the_loop(flat: World) -> None
     assert begun == 14
     assert len(oracle.scans) - begun + cost.dropped == 2
     assert cost.trace_ms > 0.0
+    # Above ordinary threads and below the loop, where the system allows it at all.
+    with realtime_priority() as granted:
+        loop = os.sched_getparam(0).sched_priority
+    assert oracle.priorities[0] == os.sched_getparam(0).sched_priority
+    if granted:
+        assert 0 < oracle.priorities[-1] < loop
 
 
 def test_a_broken_thread_is_reported(flat: World) -> None:

@@ -24,8 +24,11 @@ from openclone.simulation.imu import ImuSample
 from openclone.simulation.lidar import Motion
 from openclone.simulation.sensors import HeadSensors, imu_pose
 from openclone.spatial.poses import Pose
+from openclone.teleop.realtime import realtime_priority
 
 SensorOdometryName = Literal["lio", "rko"]
+_PRIORITY = 5
+"""Of SCHED_FIFO: above every ordinary thread, below the control loop."""
 
 
 @dataclass(frozen=True)
@@ -206,8 +209,10 @@ class LidarOdometry:
     def _labour(self) -> None:
         """The thread: register frames until None comes."""
         try:
-            while (motion := self._work.get()) is not None:
-                self._register(motion)
+            # A robot whose odometry is late stops as one whose loop is late.
+            with realtime_priority(_PRIORITY):
+                while (motion := self._work.get()) is not None:
+                    self._register(motion)
         except BaseException as error:  # the loop must hear of it, whatever it is
             self._failure = error
 

@@ -15,11 +15,14 @@ _PRIORITY = 10
 
 
 @contextmanager
-def realtime_priority() -> Iterator[bool]:
+def realtime_priority(priority: int = _PRIORITY) -> Iterator[bool]:
     """Let the calling thread run before all ordinary ones, where the system allows it.
 
     Linux allows it to root and to users with an ``rtprio`` limit. Elsewhere nothing
     changes. Threads started meanwhile do not inherit the priority.
+
+    Args:
+        priority: of SCHED_FIFO; the loop has the default.
 
     Yields:
         Whether the priority was granted.
@@ -30,7 +33,7 @@ def realtime_priority() -> Iterator[bool]:
     policy, parameter = os.sched_getscheduler(0), os.sched_getparam(0)
     fifo = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
     try:
-        os.sched_setscheduler(0, fifo, os.sched_param(_PRIORITY))
+        os.sched_setscheduler(0, fifo, os.sched_param(priority))
     except OSError:
         yield False
         return
