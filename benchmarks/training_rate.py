@@ -7,9 +7,11 @@ Four rates on the same machine in one run, as ratios:
 3. PPO end to end on top of that: the ``fast`` preset's collection and updates;
 4. mjlab's G1 velocity task in its CPU mode (MuJoCo Warp on the CPU device).
 
-The first three take turns in short windows, so that a machine that is busy with other
-things slows all of them alike. Ratios are given twice: of wall time, and of CPU time
-summed over threads, which other processes disturb less but which hides waiting.
+All four take turns in short windows, so that a machine that is busy with other things
+slows all of them alike. Every round gives one ratio; printed are their medians and, as
+``..._low`` and ``..._high``, their extremes. Ratios are given twice: of wall time, and
+of CPU time summed over threads, which other processes disturb less but which hides
+waiting.
 
 Run it with ``make bench`` on an idle machine.
 """
@@ -24,7 +26,7 @@ import os
 import platform
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -41,12 +43,11 @@ from openclone.training.progress import Budget, Progress
 from openclone.training.teacher import TeacherEnvironment, TeacherTrainer
 from openclone.training.terrain import build_training_model
 
-Seconds = tuple[float, float]
-"""Wall time and CPU time of one control step of one robot."""
+Times = np.ndarray
 
 
-def timed(work: Callable[[], int]) -> Seconds:
-    """Seconds per control step of ``work``, which returns how many it made."""
+def timed(work: Callable[[], int]) -> tuple[float, float]:
+    """Wall and CPU seconds per control step of ``work``, which returns their count."""
     wall, cpu = time.perf_counter(), time.process_time()
     count = work()
     return (
@@ -119,10 +120,9 @@ def ppo_iteration(trainer: TeacherTrainer, folder: Path) -> Callable[[], int]:
     return work
 
 
-def openclone_seconds(
-    robots: int | None, rounds: int, steps: int
-) -> tuple[dict[str, Seconds], int]:
-    """Median seconds per step of the three, and the number of robots."""
+@contextlib.contextmanager
+def our_works(robots: int | None, steps: int) -> Iterator[dict[str, Callable[[], int]]]:
+    """The first three, by name."""
     threads = os.cpu_count() or 1
     preset = TEACHERS["fast"]
     if robots is not None:
@@ -131,24 +131,16 @@ def openclone_seconds(
     with tempfile.TemporaryDirectory() as folder:
         task = task_steps(trainer, steps)
         task()
-        works = {
+        yield {
             "raw_rollout": raw_rollout(trainer, threads, steps),
             "task": task,
             "ppo": ppo_iteration(trainer, Path(folder)),
         }
-        seconds: dict[str, list[Seconds]] = {name: [] for name in works}
-        for work in works.values():
-            work()
-        for _ in range(rounds):
-            for name, work in works.items():
-                seconds[name].append(timed(work))
-    medians = {name: np.median(rows, axis=0) for name, rows in seconds.items()}
-    pairs = {name: (float(row[0]), float(row[1])) for name, row in medians.items()}
-    return pairs, trainer.task.num_envs
 
 
-def mjlab_seconds(robots: int, rounds: int) -> Seconds:
-    """Median seconds per control step of mjlab's flat velocity task on the CPU."""
+@contextlib.contextmanager
+def mjlab_work(robots: int) -> Iterator[Callable[[], int]]:
+    """Control steps of mjlab's flat velocity task on the CPU."""
     # mjlab and Warp describe themselves at length; the first run also compiles.
     with contextlib.redirect_stdout(io.StringIO()):
         import mjlab.tasks.velocity.config.g1  # noqa: F401  (registers the task)
@@ -159,30 +151,51 @@ def mjlab_seconds(robots: int, rounds: int) -> Seconds:
         config.scene.num_envs = robots
         env = ManagerBasedRlEnv(config, device="cpu")
         env.reset()
-        action = torch.zeros(robots, env.action_manager.total_action_dim)
+    action = torch.zeros(robots, env.action_manager.total_action_dim)
 
-        def work() -> int:
-            for _ in range(5):
+    def work() -> int:
+        with contextlib.redirect_stdout(io.StringIO()):
+            for _ in range(3):
                 env.step(action)
-            return 5 * robots
+        return 3 * robots
 
+    yield work
+    env.close()
+
+
+def take_turns(works: dict[str, Callable[[], int]], rounds: int) -> dict[str, Times]:
+    """Wall and CPU seconds per control step, ``(rounds, 2)``, of every work."""
+    for work in works.values():
         work()
-        wall, cpu = np.median([timed(work) for _ in range(rounds)], axis=0)
-        env.close()
-    return float(wall), float(cpu)
+    rows: dict[str, list[tuple[float, float]]] = {name: [] for name in works}
+    for _ in range(rounds):
+        for name, work in works.items():
+            rows[name].append(timed(work))
+    return {name: np.array(times) for name, times in rows.items()}
 
 
-def ratios(seconds: dict[str, Seconds]) -> dict[str, float]:
-    """Rates and their ratios, by name."""
-    raw, task, ppo = (seconds[name] for name in ("raw_rollout", "task", "ppo"))
-    figures = {f"{name}_steps_s": round(1 / s[0], 1) for name, s in seconds.items()}
-    for index, clock in enumerate(("wall", "cpu")):
-        figures[f"task_share_of_raw_{clock}"] = round(raw[index] / task[index], 3)
-        figures[f"ppo_share_of_raw_{clock}"] = round(raw[index] / ppo[index], 3)
-        if "mjlab_cpu" in seconds:
-            other = seconds["mjlab_cpu"][index]
-            figures[f"task_over_mjlab_{clock}"] = round(other / task[index], 1)
-            figures[f"ppo_over_mjlab_{clock}"] = round(other / ppo[index], 1)
+def ratios(times: dict[str, Times]) -> dict[str, float]:
+    """Median rates, and for each ratio its median and its extremes, by name."""
+    figures = {
+        f"{name}_steps_s": round(float(1 / np.median(rows[:, 0])), 1)
+        for name, rows in times.items()
+    }
+    pairs = [
+        ("task_share_of_raw", "raw_rollout", "task"),
+        ("ppo_share_of_raw", "raw_rollout", "ppo"),
+    ]
+    if "mjlab_cpu" in times:
+        pairs += [
+            ("task_over_mjlab", "mjlab_cpu", "task"),
+            ("ppo_over_mjlab", "mjlab_cpu", "ppo"),
+        ]
+    for name, slow, fast in pairs:
+        for index, clock in enumerate(("wall", "cpu")):
+            values = times[slow][:, index] / times[fast][:, index]
+            key = f"{name}_{clock}"
+            figures[key] = round(float(np.median(values)), 3)
+            figures[f"{key}_low"] = round(float(values.min()), 3)
+            figures[f"{key}_high"] = round(float(values.max()), 3)
     return figures
 
 
@@ -196,20 +209,21 @@ def main() -> None:
     parser.add_argument("--without-mjlab", action="store_true")
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
-    seconds, robots = openclone_seconds(
-        arguments.robots, arguments.rounds, arguments.steps
-    )
-    if not arguments.without_mjlab:
-        seconds["mjlab_cpu"] = mjlab_seconds(arguments.mjlab_robots, arguments.rounds)
+    with contextlib.ExitStack() as stack:
+        works = dict(stack.enter_context(our_works(arguments.robots, arguments.steps)))
+        if not arguments.without_mjlab:
+            mjlab = mjlab_work(arguments.mjlab_robots)
+            works["mjlab_cpu"] = stack.enter_context(mjlab)
+        times = take_turns(works, arguments.rounds)
     result = {
         "machine": f"{platform.processor() or platform.machine()}, "
         f"{os.cpu_count()} cores",
         "versions": f"mujoco {mujoco.__version__}, torch {torch.__version__}",
-        "robots": robots,
-        **ratios(seconds),
+        "robots": arguments.robots or TEACHERS["fast"].task.num_envs,
+        **ratios(times),
     }
     for name, value in result.items():
-        print(f"{name:24} {value}")
+        print(f"{name:28} {value}")
     if arguments.json:
         arguments.json.write_text(json.dumps(result, indent=2) + "\n")
 

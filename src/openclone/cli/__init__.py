@@ -14,7 +14,12 @@ from collections.abc import Callable
 from openclone.cli.curation import motions_build, motions_inspect
 from openclone.cli.editing import motions_augment, motions_edit
 from openclone.cli.facts import policy_info, robot_joints, version
-from openclone.cli.learning import train_plan, train_student, train_teacher
+from openclone.cli.learning import (
+    train_model,
+    train_plan,
+    train_student,
+    train_teacher,
+)
 from openclone.cli.measuring import (
     evaluate_odometry,
     evaluate_pushes,
@@ -43,6 +48,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "evaluate odometry": evaluate_odometry,
     "train teacher": train_teacher,
     "train student": train_student,
+    "train model": train_model,
     "train plan": train_plan,
     "motions synthesize": motions_synthesize,
     "motions retarget": motions_retarget,

@@ -1,4 +1,4 @@
-"""Commands that train: train teacher, train student, train plan."""
+"""Commands that train: train teacher, train student, train model, train plan."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from openclone.errors import InputError
 
 if TYPE_CHECKING:
     from openclone.motion.clip import Clip
+    from openclone.training.hardware import Hardware
     from openclone.training.plan import PhasePlan
     from openclone.training.presets import DataChoice, StudentPreset
 
@@ -64,6 +65,9 @@ def train_teacher(
     start: Path | None = None,
     seed: int = 0,
     threads: int | None = None,
+    physics: str = "threaded",
+    device: str = "cpu",
+    model: Path | None = None,
 ) -> None:
     """Train the privileged teacher with PPO.
 
@@ -78,6 +82,10 @@ def train_teacher(
         start: begin with the networks of this checkpoint, with a fresh budget.
         seed: of all randomness.
         threads: CPU threads; all cores by default.
+        physics: threaded (MuJoCo on the CPU's cores) or warp (MuJoCo Warp, on the
+            device).
+        device: of task, networks and physics "warp": cpu, cuda or cuda:<number>.
+        model: the robot as written by `openclone train model`, where mjlab is missing.
     """
     wait_passively()
     from openclone.training import teacher
@@ -95,8 +103,29 @@ def train_teacher(
         start=start,
         seed=seed,
         threads=threads,
+        hardware=_hardware(physics, device, model),
     )
     print(f"teacher: {path}")
+
+
+def _hardware(physics: str, device: str, model: Path | None) -> Hardware:
+    from openclone.training.hardware import Hardware
+
+    hardware = Hardware(physics, device, model)
+    hardware.torch_device()
+    return hardware
+
+
+def train_model(*, out: Path = Path("g1.mjb")) -> None:
+    """Write the robot as one file, to train where mjlab is not installed.
+
+    Args:
+        out: file in MuJoCo's binary format, for the same version of MuJoCo.
+    """
+    from openclone.training.terrain import save_training_model
+
+    save_training_model(out)
+    print(f"model: {out}")
 
 
 def train_student(
@@ -112,17 +141,17 @@ def train_student(
     start: Path | None = None,
     seed: int = 0,
     threads: int | None = None,
+    physics: str = "threaded",
+    device: str = "cpu",
+    model: Path | None = None,
 ) -> None:
     """Train the student from a teacher: DAgger, then PPO; exports its bundle.
 
     With --preset quickstart and no --teacher, its teacher is trained first.
 
     Args:
-        preset: fast, quickstart, paper, smoke, or an ablation of the paper: mlp,
-            other-data, history-5, history-50, layers-1, experts-8; real-odometry
-            adds the faults of a 10 Hz odometry.
-        teacher: checkpoint of `openclone train teacher`; runs/teacher/teacher.pt by
-            default.
+        preset: fast, quickstart, real-odometry, paper, smoke or an ablation.
+        teacher: checkpoint of its teacher; runs/teacher/teacher.pt by default.
         motions: as for the teacher.
         out: folder for checkpoint, bundle and event files.
         minutes: wall time of DAgger instead of the preset's.
@@ -132,19 +161,18 @@ def train_student(
         start: begin with the student of this checkpoint, with a fresh budget.
         seed: of all randomness.
         threads: CPU threads; all cores by default.
+        physics: as for the teacher.
+        device: as for the teacher.
+        model: as for the teacher.
     """
     wait_passively()
     from openclone.training import student
-    from openclone.training.presets import student_preset
 
-    _hush_exporter()
-    positive("--minutes", minutes)
-    settings = student_preset(preset)
-    settings = replace(settings, data=_narrowed(settings.data, categories))
+    settings = _student_settings(preset, categories, minutes)
+    hardware = _hardware(physics, device, model)
     clips = _training_clips(motions)
     if teacher is None:
-        teacher = _own_teacher(settings, clips, out, resume, seed, threads)
-        # A run that was interrupted in its teacher has no student yet.
+        teacher = _own_teacher(settings, clips, out, resume, seed, threads, hardware)
         resume &= not settings.teacher or (out / student.CHECKPOINT).is_file()
     path = student.train_student(
         clips,
@@ -157,8 +185,20 @@ def train_student(
         start=start,
         seed=seed,
         threads=threads,
+        hardware=hardware,
     )
     print(f"policy bundle: {path}")
+
+
+def _student_settings(
+    preset: str, categories: str, minutes: float | None
+) -> StudentPreset:
+    from openclone.training.presets import student_preset
+
+    positive("--minutes", minutes)
+    _hush_exporter()
+    settings = student_preset(preset)
+    return replace(settings, data=_narrowed(settings.data, categories))
 
 
 def _hush_exporter() -> None:
@@ -175,8 +215,12 @@ def _own_teacher(
     resume: bool,
     seed: int,
     threads: int | None,
+    hardware: Hardware,
 ) -> Path:
-    """Train the teacher that the student's preset names; otherwise the default one."""
+    """Train the teacher that the student's preset names; otherwise the default one.
+
+    A run that was interrupted in its teacher has no student yet.
+    """
     if not settings.teacher:
         return _DEFAULT_TEACHER
     from openclone.training import teacher
@@ -190,7 +234,13 @@ def _own_teacher(
     known = (folder / teacher.CHECKPOINT).is_file()
     print(f"first the teacher ({settings.teacher}), in {folder}")
     return teacher.train_teacher(
-        clips, choice, folder, resume=resume and known, seed=seed, threads=threads
+        clips,
+        choice,
+        folder,
+        resume=resume and known,
+        seed=seed,
+        threads=threads,
+        hardware=hardware,
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from pathlib import Path
 
 import torch
@@ -94,7 +95,8 @@ class _Exported(nn.Module):
 def export_bundle(model: StudentModel, info: BundleInfo, path: Path) -> None:
     """Write ``model`` as one ONNX file with ``info`` inside."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    module = _Exported(model).eval()
+    # A copy, as the network may live on a GPU.
+    module = copy.deepcopy(_Exported(model)).cpu().eval()
     torch.onnx.export(
         module,
         (torch.zeros(2, info.observation_size),),

@@ -17,8 +17,19 @@ def save_checkpoint(path: Path, content: dict[str, Any]) -> None:
     """Write ``content`` (tensors, state dicts, plain values) in one piece."""
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_suffix(".partial")
-    torch.save(content, partial)
+    torch.save(_on_cpu(content), partial)
     partial.replace(path)
+
+
+def _on_cpu(value: Any) -> Any:
+    """``value`` with all its tensors on the CPU, readable on every machine."""
+    if isinstance(value, torch.Tensor):
+        return value.detach().cpu()
+    if isinstance(value, dict):
+        return {key: _on_cpu(part) for key, part in value.items()}
+    if isinstance(value, (list, tuple)):
+        return type(value)(_on_cpu(part) for part in value)
+    return value
 
 
 def load_checkpoint(path: Path) -> dict[str, Any]:

@@ -7,9 +7,8 @@ import numpy as np
 from openclone.errors import InputError
 from openclone.motion.clip import Clip
 from openclone.motion.edit import mirror, pad_still
-from openclone.robot.model import SensorLayout, build_model
-from openclone.training.distributed import threads_per_process
-from openclone.training.physics import ThreadedPhysics
+from openclone.robot.model import SensorLayout
+from openclone.training.hardware import Hardware
 from openclone.training.reference import ReferenceMotions, build_reference
 from openclone.training.task import TaskConfig, TrackingTask
 from openclone.training.terrain import build_terrain, build_training_model
@@ -49,26 +48,35 @@ def select_clips(
     return chosen
 
 
-def load_reference(clips: list[Clip]) -> ReferenceMotions:
-    """Tables of the reference for ``clips``."""
-    return build_reference(clips, build_model())
+def load_reference(
+    clips: list[Clip], hardware: Hardware | None = None
+) -> ReferenceMotions:
+    """Tables of the reference for ``clips``, on the run's device."""
+    hardware = hardware or Hardware()
+    model = build_training_model(file=hardware.model)
+    return build_reference(clips, model).to(hardware.torch_device())
 
 
 def make_task(
-    reference: ReferenceMotions, config: TaskConfig, seed: int, threads: int | None
+    reference: ReferenceMotions,
+    config: TaskConfig,
+    seed: int,
+    threads: int | None,
+    hardware: Hardware | None = None,
 ) -> TrackingTask:
-    """A tracking task on the CPU backend.
+    """A tracking task on the chosen hardware.
 
     Args:
         reference: what to track.
         config: settings of the task.
         seed: of all randomness, the terrain's shape included.
         threads: that step the robots; by default the process's share of the cores.
+        hardware: back-end and device; the cores of this machine by default.
     """
+    hardware = hardware or Hardware()
     rng = np.random.default_rng([seed, 4])
     terrain = build_terrain(config.randomization.terrain, rng)
-    model = build_training_model(terrain)
-    threads = threads or threads_per_process()
-    physics = ThreadedPhysics(model, config.num_envs, threads)
+    model = build_training_model(terrain, file=hardware.model)
+    physics = hardware.make_physics(model, config.num_envs, threads)
     layout = SensorLayout.of(model)
     return TrackingTask(reference, physics, layout, config, seed, terrain)

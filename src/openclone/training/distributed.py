@@ -94,12 +94,16 @@ def team() -> Team:
 
 
 @contextmanager
-def joined(device: str = "cpu") -> Iterator[Team]:
+def joined(device: torch.device | None = None) -> Iterator[Team]:
     """Join the processes that torchrun has started; alone without torchrun."""
     if int(os.environ.get("WORLD_SIZE", "1")) == 1 or distributed.is_initialized():
         yield team()
         return
-    distributed.init_process_group("nccl" if device.startswith("cuda") else "gloo")
+    backend = "gloo"
+    if device is not None and device.type == "cuda":
+        torch.cuda.set_device(device)
+        backend = "cpu:gloo,cuda:nccl"
+    distributed.init_process_group(backend)
     try:
         yield team()
     finally:

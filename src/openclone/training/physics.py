@@ -124,6 +124,7 @@ class ThreadedPhysics:
         num_envs: int,
         threads: int | None = None,
         models: list[mujoco.MjModel] | None = None,
+        device: torch.device | None = None,
     ) -> None:
         """Create ``num_envs`` robots.
 
@@ -132,11 +133,13 @@ class ThreadedPhysics:
             num_envs: number of robots.
             threads: worker threads; all cores by default.
             models: one model per robot, for randomized parameters.
+            device: where states are wanted; the CPU by default. Another one costs two
+                copies per control step.
         """
         threads = threads or os.cpu_count() or 1
         self.num_envs = num_envs
         self.links = model.nbody - 1
-        self.device = torch.device("cpu")
+        self.device = device or torch.device("cpu")
         self._nominal = model
         self._models = list(models) if models else [model] * num_envs
         self._datas = [mujoco.MjData(model) for _ in range(threads)]
@@ -193,19 +196,20 @@ class ThreadedPhysics:
             self._models,
             self._datas,
             self._state,
-            np.ascontiguousarray(ctrl, dtype=np.float64),
+            np.ascontiguousarray(ctrl.cpu(), dtype=np.float64),
             skip_checks=True,
             nstep=substeps,
             state=states,
             sensordata=sensors,
         )
         self._state[:] = states[:, -1]
-        self.sensordata[:] = sensors[:, -1]
+        self.sensordata = sensors[:, -1]
 
     def read(self) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Copies of qpos, qvel, sensordata: (n, 36), (n, 35), (n, s), float32."""
-        return (
-            torch.from_numpy(self.qpos.astype(np.float32)),
-            torch.from_numpy(self.qvel.astype(np.float32)),
-            torch.from_numpy(self.sensordata.astype(np.float32)),
+        arrays = (self.qpos, self.qvel, self.sensordata)
+        qpos, qvel, sensors = (
+            torch.from_numpy(array.astype(np.float32)).to(self.device)
+            for array in arrays
         )
+        return qpos, qvel, sensors

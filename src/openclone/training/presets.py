@@ -66,15 +66,18 @@ _FAST_TASK = TaskConfig(
 _FAST_PPO = PpoConfig(
     steps=24, epochs=4, minibatches=4, kl=0.03, slowest=1e-5, fastest=5e-4, entropy=0.0
 )
-# From nothing in 20 minutes. Of the first 150 000 steps on synthetic walks, measured
-# without noise on uniform starts, falls / 1000 steps: 256 robots x 16 steps with noise
-# 0.5, 0.3, 0.2: 12.6, 14.4, 14.7; 512 x 16 with 0.3: 15.2. So it begins noisy. Later
-# in training, less noise and larger batches with smaller updates helped most (training
-# log, stages 2, 5 and 8), so noise and KL divergence fall over the run.
+# From nothing in 20 minutes. Measured after 150 000 steps on synthetic walks, without
+# noise, on uniform starts, in falls / 1000 steps (untrained: 17.9; two runs of the same
+# setting may differ by 1): noise 0.5, 0.3, 0.2 with 256 robots x 16 steps: 12.6, 14.4,
+# 14.7; noise 0.5 with 512 x 16: 13.0 in 8 minibatches, 13.6 in 4; noise 0.3 with
+# 512 x 16: 15.2. So it begins noisy, and 512 robots, which step faster, lose nothing.
+# Later in training, less noise and larger batches with smaller updates helped most
+# (training log, stages 2, 5 and 8): noise and KL divergence fall over the run. That
+# fall, squeezed into 150 000 steps, gave 15.0; over 20 minutes it was not compared.
 _QUICKSTART_PPO = PpoConfig(
     steps=16,
     epochs=4,
-    minibatches=4,
+    minibatches=8,
     learning_rate=1e-3,
     slowest=2e-5,
     fastest=1e-3,

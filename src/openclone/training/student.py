@@ -23,6 +23,7 @@ from openclone.training.checkpoint import (
 )
 from openclone.training.data import load_reference, make_task
 from openclone.training.distillation import Dagger, distill, router_usage
+from openclone.training.hardware import Hardware
 from openclone.training.ppo import AfterUpdate, build_ppo, learn, resume_ppo
 from openclone.training.presets import StudentPreset
 from openclone.training.progress import Budget, Progress, Trained
@@ -78,22 +79,24 @@ class StudentTrainer:
         out: Path,
         seed: int,
         threads: int | None,
+        hardware: Hardware | None = None,
     ) -> None:
         """Build the reference and an untrained student."""
         torch.manual_seed(seed)
         chosen = preset.select(clips)
-        self.preset, self.out, self.threads, self.seed = preset, out, threads, seed
+        self.preset, self.out, self.seed = preset, out, seed
+        self.threads, self.hardware = threads, hardware or Hardware()
         self.data_hash = clip_hash(chosen)
-        self.reference: ReferenceMotions = load_reference(chosen)
+        self.reference: ReferenceMotions = load_reference(chosen, self.hardware)
         self.student = StudentModel(
             preset.network, preset.ppo.initial_std, preset.history
-        )
+        ).to(self.reference.device)
         self.trained, self.phase = Trained(), "dagger"
         self._kept_at = 0.0
 
     def view(self, config: TaskConfig) -> StudentView:
         """A fresh task seen through the student's sensors."""
-        task = make_task(self.reference, config, self.seed, self.threads)
+        task = make_task(self.reference, config, self.seed, self.threads, self.hardware)
         rng = np.random.default_rng(self.seed + 1)
         preset = self.preset
         return StudentView(task, preset.history, preset.noise, rng, preset.faults)
@@ -163,6 +166,7 @@ def train_student(
     start: Path | None = None,
     seed: int = 0,
     threads: int | None = None,
+    hardware: Hardware | None = None,
 ) -> Path:
     """Train a student from the teacher checkpoint and return its bundle.
 
@@ -179,9 +183,10 @@ def train_student(
             budget.
         seed: of all randomness.
         threads: CPU threads; all cores by default.
+        hardware: back-end of the physics and device; the CPU by default.
     """
     out = Path(out)
-    trainer = StudentTrainer(clips, preset, out, seed, threads)
+    trainer = StudentTrainer(clips, preset, out, seed, threads, hardware)
     print(trainer.reference.summary())
     content: dict[str, Any] = {}
     if resume:
@@ -209,7 +214,7 @@ def _dagger_phase(
     rng = np.random.default_rng(trainer.seed + 2)
     dagger = Dagger(
         trainer.view(preset.task),
-        load_teacher(teacher),
+        load_teacher(teacher).to(trainer.reference.device),
         trainer.student,
         preset.distillation,
         rng,

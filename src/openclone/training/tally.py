@@ -47,9 +47,9 @@ class Tally:
         """
         if self._sums is None:
             return
-        means = (self._sums / self._steps).tolist()
+        means = (self._sums / self._steps).cpu().tolist()
         progress.add(**dict(zip(self._names, means, strict=True)))
-        survived, ended = self._episodes.tolist()
+        survived, ended = self._episodes.cpu().tolist()
         for name, good, all_ in zip(self._categories, survived, ended, strict=True):
             outcomes = [1.0] * round(good) + [0.0] * round(all_ - good)
             progress.add_all(f"success/{name}", outcomes)

@@ -22,6 +22,7 @@ from openclone.training.checkpoint import (
 )
 from openclone.training.data import load_reference, make_task
 from openclone.training.distributed import joined, team
+from openclone.training.hardware import Hardware
 from openclone.training.ppo import PpoConfig, build_ppo, learn, mlp_model, resume_ppo
 from openclone.training.presets import TeacherPreset
 from openclone.training.progress import Budget, Progress, Trained
@@ -50,10 +51,9 @@ class TeacherEnvironment:
         return self.task.step(self.task.residual_to_target(action))
 
 
-def _new_ppo(num_envs: int, config: PpoConfig) -> PPO:
-    example = TensorDict(
-        {GROUP: torch.zeros(num_envs, TEACHER_SIZE)}, batch_size=[num_envs]
-    )
+def _new_ppo(num_envs: int, config: PpoConfig, device: torch.device) -> PPO:
+    seen = torch.zeros(num_envs, TEACHER_SIZE, device=device)
+    example = TensorDict({GROUP: seen}, batch_size=[num_envs])
     actor = mlp_model(example, GROUP, g1.NUM_JOINTS, config)
     critic = mlp_model(example, GROUP, 1, config)
     return build_ppo(example, actor, critic, config)
@@ -68,6 +68,7 @@ class TeacherTrainer:
         preset: TeacherPreset,
         seed: int,
         threads: int | None,
+        hardware: Hardware | None = None,
     ) -> None:
         """Build task and untrained networks."""
         # Processes that train together begin with the networks of process 0, but
@@ -77,8 +78,10 @@ class TeacherTrainer:
         chosen = preset.select(clips)
         self.preset = preset
         self.data_hash = clip_hash(chosen)
-        self.task = make_task(load_reference(chosen), preset.task, seed, threads)
-        self.ppo = _new_ppo(preset.task.num_envs, preset.ppo)
+        self.task = make_task(
+            load_reference(chosen, hardware), preset.task, seed, threads, hardware
+        )
+        self.ppo = _new_ppo(preset.task.num_envs, preset.ppo, self.task.device)
         self.style: AmpStyle | None = None
         if preset.amp is not None:
             self.style = AmpStyle(self.task.reference, preset.amp, seed)
@@ -146,6 +149,7 @@ def train_teacher(
     start: Path | None = None,
     seed: int = 0,
     threads: int | None = None,
+    hardware: Hardware | None = None,
 ) -> Path:
     """Train a teacher and return its checkpoint.
 
@@ -160,11 +164,13 @@ def train_teacher(
         start: begin with the networks of this checkpoint, with a fresh budget.
         seed: of all randomness.
         threads: CPU threads; all cores by default.
+        hardware: back-end of the physics and device; the CPU by default.
     """
     path = Path(out) / CHECKPOINT
     budget = Budget(preset.minutes if minutes is None else minutes, preset.iterations)
-    with joined() as crew:
-        trainer = TeacherTrainer(clips, preset, seed, threads)
+    hardware = hardware or Hardware()
+    with joined(hardware.torch_device()) as crew:
+        trainer = TeacherTrainer(clips, preset, seed, threads, hardware)
         trained = Trained()
         if resume:
             trained = trainer.resume(path)

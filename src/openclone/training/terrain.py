@@ -9,11 +9,14 @@ the task subtracts it again: rewards and policies see the same numbers everywher
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 import mujoco
 import numpy as np
 
+from openclone.errors import InputError
+from openclone.robot import g1
 from openclone.robot.model import Feet, add_floor, build_spec
 
 TerrainKind = Literal["flat", "rough", "obstacles"]
@@ -137,14 +140,60 @@ def _obstacles(rng: np.random.Generator) -> np.ndarray:
 
 
 def build_training_model(
-    terrain: Terrain | None = None, *, feet: Feet = "spheres"
+    terrain: Terrain | None = None,
+    *,
+    feet: Feet = "spheres",
+    file: Path | None = None,
 ) -> mujoco.MjModel:
     """The model of `robot.model.build_model`, stripped for speed.
 
     The motion is the same to rounding (a test compares them). Visual meshes go, which
     shrinks a model from 71 MB to 0.3 MB, so that every robot can have its own; islands
     are pointless with one robot; the sparse solver suits its branching tree.
+
+    Args:
+        terrain: uneven ground to add.
+        feet: shape of the feet.
+        file: the robot as `save_training_model` wrote it, where mjlab is missing.
     """
+    if file is not None:
+        return _carried(file, terrain)
+    spec = _lean_spec(feet)
+    if terrain is not None:
+        _add_plateau(spec, terrain)
+    return _tuned(spec.compile())
+
+
+def save_training_model(path: Path) -> None:
+    """Write the training model, flat ground, in MuJoCo's binary format."""
+    mujoco.mj_saveModel(build_training_model(), str(path))
+
+
+def _carried(file: Path, terrain: Terrain | None) -> mujoco.MjModel:
+    remedy = "write it with `openclone train model` and this version of MuJoCo"
+    if terrain is not None:
+        raise InputError(
+            "a model file has flat ground only, and the preset wants uneven ground",
+            where=str(file),
+            remedy="train without --model",
+        )
+    if not file.is_file():
+        raise InputError("no such model", where=str(file), remedy=remedy)
+    try:
+        model = mujoco.MjModel.from_binary_path(str(file))
+    except ValueError as error:
+        reason = str(error).splitlines()[0]
+        raise InputError(
+            f"not a model that MuJoCo {mujoco.__version__} reads ({reason})",
+            where=str(file),
+            remedy=remedy,
+        ) from None
+    if model.nu != g1.NUM_JOINTS or model.nsensor == 0:
+        raise InputError("not the G1 of this project", where=str(file), remedy=remedy)
+    return model
+
+
+def _lean_spec(feet: Feet) -> mujoco.MjSpec:
     spec = build_spec(feet=feet)
     for geom in list(spec.geoms):
         if geom.type == mujoco.mjtGeom.mjGEOM_MESH:
@@ -152,9 +201,10 @@ def build_training_model(
     for mesh in list(spec.meshes):
         spec.delete(mesh)
     add_floor(spec)
-    if terrain is not None:
-        _add_plateau(spec, terrain)
-    model = spec.compile()
+    return spec
+
+
+def _tuned(model: mujoco.MjModel) -> mujoco.MjModel:
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
     model.opt.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE
     return model
