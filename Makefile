@@ -37,7 +37,7 @@ format: install
 	$(VENV)/bin/ruff format
 
 # The others need a recording or more time: see their --help.
-BENCHMARKS := training_rate odometry_consistency odometry
+BENCHMARKS := training_rate policy_latency odometry_consistency odometry
 bench: install
 	for name in $(BENCHMARKS); do $(VENV)/bin/python benchmarks/$$name.py || exit 1; done
 
