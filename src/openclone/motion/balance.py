@@ -63,24 +63,40 @@ def balancing_shift(
     force = lift[:, None] * (wanted - zmp)
     force[flies] = path[flies, 2:] * acceleration[flies, :2]
     lift = np.where(flies, 0.0, lift)
-    shift = _solved(force, path[:, 2], lift, fps)
+    pad = round(_PADDING_S * fps)
+    shift = pendulum_path(
+        np.pad(force, ((pad, pad), (0, 0))),
+        np.pad(path[:, 2], pad, mode="edge"),
+        np.pad(lift, pad, constant_values=GRAVITY),
+        fps,
+    )[pad:-pad]
     length = np.linalg.norm(shift, axis=1, keepdims=True)
     return shift * most * np.tanh(length / most) / np.maximum(length, 1e-9)
 
 
-def _solved(
+def pendulum_path(
     force: np.ndarray, height: np.ndarray, lift: np.ndarray, fps: float
 ) -> np.ndarray:
-    """X (T, 2) with ``lift x - height x'' = force``; zero long before and after."""
-    pad = round(_PADDING_S * fps)
-    force = np.pad(force, ((pad, pad), (0, 0)))
-    stiffness = np.pad(height, pad, mode="edge") * fps**2
+    """Where an inverted pendulum's mass is: ``lift x - height x'' = force``.
+
+    Args:
+        force: (T, 2), per kilogram, m²/s², world; ``lift`` times the zero-moment point.
+        height: (T,), metres, of the mass.
+        lift: (T,), g + z'', m/s².
+        fps: frames per second.
+
+    Returns:
+        x (T, 2), metres, world; at rest above the point of pressure at both ends.
+    """
     bands = np.zeros((3, len(force)))
+    stiffness = height * fps**2
     bands[0, 2:] = -stiffness[1:-1]
-    bands[1] = np.pad(lift, pad, constant_values=GRAVITY) + 2.0 * stiffness
+    bands[1] = lift + 2.0 * stiffness
     bands[2, :-2] = -stiffness[1:-1]
+    right = force.copy()
     bands[1, [0, -1]] = 1.0
-    return solve_banded((1, 1), bands, force)[pad:-pad]
+    right[[0, -1]] = force[[0, -1]] / lift[[0, -1], None]
+    return solve_banded((1, 1), bands, right)
 
 
 def nearest_inside(point: np.ndarray, corners: np.ndarray) -> np.ndarray:

@@ -18,14 +18,13 @@ from functools import cache
 
 import mujoco
 import numpy as np
-from scipy.linalg import solve_banded
 
+from openclone.motion.balance import GRAVITY, pendulum_path
 from openclone.motion.sources.serial_chain import SerialChain
 from openclone.robot import g1
 from openclone.robot.model import SOLE_CORNERS, SOLE_Z, build_model
 from openclone.spatial import rotations
 
-GRAVITY = 9.81
 _PADDING_S = 1.5
 """Seconds of rest added at both ends while solving, so that clips start at rest."""
 _CORRECTION_LIMIT = 0.2
@@ -112,15 +111,7 @@ def com_from_zmp(
     zmp = np.pad(zmp, ((pad, pad), (0, 0)), mode="edge")
     height = np.pad(com_height, pad, mode="edge")
     lift = np.pad(lift, pad, constant_values=GRAVITY)
-    bands = np.zeros((3, len(zmp)))
-    stiffness = height * fps**2
-    bands[0, 2:] = -stiffness[1:-1]
-    bands[1] = lift + 2.0 * stiffness
-    bands[2, :-2] = -stiffness[1:-1]
-    right = lift[:, None] * zmp
-    bands[1, [0, -1]] = 1.0
-    right[[0, -1]] = zmp[[0, -1]]
-    return solve_banded((1, 1), bands, right)[pad:-pad]
+    return pendulum_path(lift[:, None] * zmp, height, lift, fps)[pad:-pad]
 
 
 def centre_of_mass(qpos: np.ndarray) -> np.ndarray:
