@@ -303,6 +303,21 @@ def test_a_foot_must_stand_when_the_references_foot_stands(perfect):
     assert float(rewards.contact_mismatch(perfect)) == 0.0
 
 
+def test_a_foot_on_its_toes_stands_although_its_ankle_is_high(perfect):
+    perfect.reference.body_position[:, [LEFT, RIGHT], 2] = 0.035
+    loads(perfect, 100.0, 100.0)
+    pitch = math.radians(25.0)
+    half = torch.tensor([math.cos(pitch / 2), 0.0, math.sin(pitch / 2), 0.0])
+    perfect.reference.body_quat[:, RIGHT] = half
+    # The toes are 12 cm ahead of the ankle and 3.5 cm below it: they touch.
+    height = 0.12 * math.sin(pitch) + 0.035 * math.cos(pitch)
+    assert height > 0.07
+    perfect.reference.body_position[:, RIGHT, 2] = height
+    assert float(rewards.contact_mismatch(perfect)) == 0.0
+    perfect.reference.body_position[:, RIGHT, 2] = height + 0.04
+    assert float(rewards.contact_mismatch(perfect)) == 1.0
+
+
 def test_only_a_flight_that_the_reference_does_not_make_is_airborne(perfect):
     perfect.reference.body_position[:, LEFT, 2] = 0.035
     perfect.reference.body_position[:, RIGHT, 2] = 0.1

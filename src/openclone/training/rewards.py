@@ -17,6 +17,7 @@ from openclone.policy.constants import Constant
 from openclone.policy.observation import gravity_b
 from openclone.policy.teacher import evenly_spaced
 from openclone.robot import g1
+from openclone.robot.model import SOLE_CORNERS
 from openclone.robot.state import RobotState, key_point_poses
 from openclone.spatial import rotations
 
@@ -32,6 +33,7 @@ _MARGIN = 0.025 * (g1.JOINT_UPPER - g1.JOINT_LOWER)
 _INNER_LOWER = Constant(g1.JOINT_LOWER + _MARGIN)
 _INNER_UPPER = Constant(g1.JOINT_UPPER - _MARGIN)
 _MAX_SPEED = Constant(g1.MAX_SPEED)
+_SOLE_CORNERS = Constant(SOLE_CORNERS)
 
 
 @dataclass(frozen=True)
@@ -294,16 +296,26 @@ def feet_still(s: TrackingState) -> torch.Tensor:
     return rest * (speed + 0.5 * lifted)
 
 
+def _sole_heights(state: RobotState) -> torch.Tensor:
+    """Height of the lowest corner of each sole, ``(n, 2)``, metres.
+
+    A foot that rolls over its toes lifts its ankle and still stands.
+    """
+    down = gravity_b(state.body_quat[:, _FEET])
+    corners = (down @ _SOLE_CORNERS.like(down).T).amax(-1)
+    return state.body_position[:, _FEET, 2] - corners
+
+
 def contact_mismatch(s: TrackingState) -> torch.Tensor:
     """Feet that bear load where the reference clearly swings them, or the reverse."""
-    height = s.reference.body_position[:, _FEET, 2]
+    height = _sole_heights(s.reference)
     speed = s.reference.body_velocity[:, _FEET].norm(dim=-1)
-    stands, swings = (height < 0.05) & (speed < 0.3), height > 0.07
+    stands, swings = (height < 0.015) & (speed < 0.3), height > 0.03
     loaded = _loaded(s)
     return ((stands & ~loaded) | (swings & loaded)).float().sum(-1)
 
 
 def airborne(s: TrackingState) -> torch.Tensor:
     """In the air although the reference has a foot on the ground: no hopping gaits."""
-    low = s.reference.body_position[:, _FEET, 2].amin(-1) < 0.06
+    low = _sole_heights(s.reference).amin(-1) < 0.02
     return (~_loaded(s).any(-1) & low).float()
