@@ -10,12 +10,10 @@ from __future__ import annotations
 import functools
 import hashlib
 import json
-import multiprocessing
 import os
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -23,11 +21,11 @@ from typing import TYPE_CHECKING
 from openclone.errors import InputError, OpenCloneError
 from openclone.motion.clip import Clip, ClipInfo, load_clip, save_clip
 from openclone.motion.quality import MEASURE_VERSION, ClipQuality, QualityMeter
+from openclone.motion.workers import worker_pool
 
 if TYPE_CHECKING:
     from openclone.motion.retarget import Solver
 
-_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 _WORTHWHILE = 4
 """Recordings per process below which starting one takes longer than it saves."""
 
@@ -133,35 +131,16 @@ def run_jobs(
 
 
 def _spread(todo: list[tuple[int, Job]], workers: int) -> Iterator[tuple[int, Outcome]]:
-    context = multiprocessing.get_context("spawn")
-    with _single_threaded(), ProcessPoolExecutor(workers, context) as pool:
-        futures = {pool.submit(work, job): index for index, job in todo}
-        try:
+    try:
+        with worker_pool(workers) as pool:
+            futures = {pool.submit(work, job): index for index, job in todo}
             for future in as_completed(futures):
                 yield futures[future], future.result()
-        except BrokenProcessPool:
-            raise OpenCloneError(
-                "a process that retargets died, perhaps for want of memory; "
-                "run the command again, with fewer workers: finished work is kept"
-            ) from None
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
-
-
-@contextmanager
-def _single_threaded() -> Iterator[None]:
-    """Processes started inside do their linear algebra on one thread each."""
-    before = {name: os.environ.get(name) for name in _THREADS}
-    os.environ.update(dict.fromkeys(_THREADS, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
+    except BrokenProcessPool:
+        raise OpenCloneError(
+            "a process that retargets died, perhaps for want of memory; "
+            "run the command again, with fewer workers: finished work is kept"
+        ) from None
 
 
 @functools.cache

@@ -8,9 +8,7 @@ zero-moment point stays inside the soles, because the motions are planned that w
 from __future__ import annotations
 
 import itertools
-import multiprocessing
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,6 +25,7 @@ from openclone.motion.sources.elbow_room import (
 )
 from openclone.motion.sources.track import oscillation
 from openclone.motion.sources.whole_body import Plan, Unreachable, solve
+from openclone.motion.workers import worker_pool
 from openclone.robot import g1
 
 LICENCE = "Apache-2.0, made by OpenClone"
@@ -178,8 +177,7 @@ def _make_all(orders: list[_Order], workers: int) -> Iterator[Clip]:
     if workers == 1:
         yield from map(_make, orders)
         return
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, context) as pool:
+    with worker_pool(workers) as pool:
         yield from pool.map(_make, orders, chunksize=2)
 
 
