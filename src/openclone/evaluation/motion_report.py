@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 from collections import defaultdict
 from collections.abc import Sequence
 from html import escape
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from openclone.errors import OpenCloneError
+from openclone.evaluation.page import page, picture, table
 from openclone.evaluation.plots import LIMIT, ROBOT, render
 
 if TYPE_CHECKING:
@@ -77,9 +77,9 @@ def write_motion_report(made: Build, out: Path, pictures: bool) -> tuple[Path, s
             write_sheet([out / clip.path for clip in chosen], labels, sheet)
         except OpenCloneError as error:
             note = str(error)
-    page = out / "report.html"
-    page.write_text(_page(made, sheet, note), encoding="utf-8")
-    return page, note
+    report = out / "report.html"
+    report.write_text(_page(made, sheet, note), encoding="utf-8")
+    return report, note
 
 
 def _spread_over_categories(clips: Sequence[BuiltClip], most: int) -> list[BuiltClip]:
@@ -148,7 +148,7 @@ def _category_table(made: Build) -> str:
         *("" for _ in range(2)),
         str(len(made.rejects)),
     )
-    return _table(head, [*rows, total])
+    return table(head, [*rows, total])
 
 
 def _median_table(made: Build) -> str:
@@ -160,14 +160,14 @@ def _median_table(made: Build) -> str:
             gate = getattr(made.config.gate, name, None)
             limit = "" if gate is None else f"{gate:g}"
             rows.append((label, f"{mid:.3g}", f"{low:.3g}", f"{high:.3g}", limit))
-    return _table(("per clip", "median", "5 %", "95 %", "gate"), rows)
+    return table(("per clip", "median", "5 %", "95 %", "gate"), rows)
 
 
 def _reject_table(made: Build) -> str:
     if not made.rejects:
         return "<p>None.</p>"
     rows = [(r.info.name, r.info.category, "; ".join(r.reasons)) for r in made.rejects]
-    return _table(("motion", "category", "reason"), rows)
+    return table(("motion", "category", "reason"), rows)
 
 
 def _clip_table(made: Build) -> str:
@@ -188,7 +188,7 @@ def _clip_table(made: Build) -> str:
         "clip", "split", "s", "ankles, mm", "wrists, mm", "slide, cm/s", "self",
         "at limit", "rad/s", "licence",
     )  # fmt: skip
-    return _table(head, rows)
+    return table(head, rows)
 
 
 def _page(made: Build, sheet: Path, note: str) -> str:
@@ -203,41 +203,11 @@ def _page(made: Build, sheet: Path, note: str) -> str:
         _median_table(made),
     ]
     if made.clips:
-        parts.append(_inline(_histograms(made), "image/png", "quality histograms"))
+        parts.append(picture(_histograms(made), "quality histograms"))
     parts += ["<h2>Rejected</h2>", _reject_table(made), "<h2>Pictures</h2>"]
     if sheet.is_file():
-        parts.append(_inline(sheet.read_bytes(), "image/jpeg", "contact sheet"))
+        parts.append(picture(sheet.read_bytes(), "contact sheet", "jpeg"))
     else:
         parts.append(f"<p>No pictures. {escape(note)}</p>")
     parts += ["<h2>Clips</h2>", _clip_table(made)]
-    return _SKELETON.format(body="\n".join(parts))
-
-
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    def cells(row: Sequence[str], tag: str) -> str:
-        return "".join(f"<{tag}>{escape(cell)}</{tag}>" for cell in row)
-
-    lines = [f"<tr>{cells(head, 'th')}</tr>"]
-    lines += [f"<tr>{cells(row, 'td')}</tr>" for row in rows]
-    return f"<table>{''.join(lines)}</table>"
-
-
-def _inline(data: bytes, kind: str, alt: str) -> str:
-    text = base64.b64encode(data).decode()
-    return f'<img alt="{escape(alt)}" src="data:{kind};base64,{text}">'
-
-
-_SKELETON = """<!doctype html>
-<html lang="en"><head><meta charset="utf-8"><title>Motions</title>
-<meta name="viewport" content="width=device-width, initial-scale=1"><style>
-body {{ font: 15px/1.5 system-ui, sans-serif; max-width: 1150px; margin: 2rem auto;
-  padding: 0 1rem; color: #1f2328; }}
-h1 {{ font-size: 1.6rem; }} h2 {{ font-size: 1.15rem; margin-top: 2rem; }}
-table {{ border-collapse: collapse; width: 100%; margin: 1rem 0; font-size: 13px; }}
-th, td {{ text-align: right; padding: .25rem .5rem; border-bottom: 1px solid #d1d9e0; }}
-th:first-child, td:first-child, td:last-child, th:last-child {{ text-align: left; }}
-img {{ max-width: 100%; height: auto; }}
-</style></head><body>
-{body}
-</body></html>
-"""
+    return page("Motions", parts, wide=True)

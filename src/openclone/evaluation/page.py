@@ -8,11 +8,11 @@ from html import escape
 
 
 def table(
-    head: tuple[str, ...], rows: Sequence[tuple[str, ...]], first_bold: bool = False
+    head: Sequence[str], rows: Sequence[Sequence[str]], first_bold: bool = False
 ) -> str:
     """A table; without a head line if all of ``head`` is empty."""
 
-    def cells(row: tuple[str, ...], tag: str) -> str:
+    def cells(row: Sequence[str], tag: str) -> str:
         return "".join(f"<{tag}>{escape(cell)}</{tag}>" for cell in row)
 
     lines = [f"<tr>{cells(head, 'th')}</tr>"] if any(head) else []
@@ -22,15 +22,22 @@ def table(
     return f"<table>{''.join(lines)}</table>"
 
 
-def picture(png: bytes, alt: str) -> str:
-    """A PNG picture as part of the page."""
-    data = base64.b64encode(png).decode()
-    return f'<img alt="{escape(alt)}" src="data:image/png;base64,{data}">'
+def picture(data: bytes, alt: str, kind: str = "png") -> str:
+    """A picture as part of the page; ``kind``: png or jpeg."""
+    text = base64.b64encode(data).decode()
+    return f'<img alt="{escape(alt)}" src="data:image/{kind};base64,{text}">'
 
 
-def page(title: str, parts: Sequence[str]) -> str:
-    """The whole page; ``parts`` are HTML already, the title is not."""
-    return _SKELETON.format(title=escape(title), body="\n".join(parts))
+def page(title: str, parts: Sequence[str], *, wide: bool = False) -> str:
+    """The whole page; ``parts`` are HTML already, the title is not.
+
+    Args:
+        title: of the browser's window.
+        parts: one after the other.
+        wide: for tables of many columns, the last of which is text.
+    """
+    body, kind = "\n".join(parts), " class=wide" if wide else ""
+    return _SKELETON.format(title=escape(title), kind=kind, body=body)
 
 
 _SKELETON = """<!doctype html>
@@ -42,11 +49,13 @@ h1 {{ font-size: 1.6rem; }} h2 {{ font-size: 1.15rem; margin-top: 2rem; }}
 table {{ border-collapse: collapse; width: 100%; margin: 1rem 0; font-size: 13px; }}
 th, td {{ text-align: right; padding: .3rem .6rem; border-bottom: 1px solid #d1d9e0; }}
 th:first-child, td:first-child {{ text-align: left; }}
+.wide {{ max-width: 1150px; }} .wide th:last-child, .wide td:last-child {{
+  text-align: left; }}
 .ours {{ font-weight: 600; background: #ddf4ff; }}
 .small {{ color: #59636e; font-size: 13px; }}
 .note {{ border-left: 3px solid #d1242f; padding-left: .7rem; }}
 img, video {{ max-width: 100%; height: auto; }} video {{ width: 640px; }}
-</style></head><body>
+</style></head><body{kind}>
 {body}
 </body></html>
 """
