@@ -88,6 +88,39 @@ def test_wrong_wishes_name_the_right_ones(
         library.load_clips(root, split, categories, tmp_path / "cache", print)
 
 
+def test_takes_of_what_is_held_out_are_left_out(
+    root: Path, bvh_text: Text, tmp_path: Path
+) -> None:
+    for name in ("stand_1", "stand_2", "nod", "bow"):
+        (root / "a" / f"{name}.bvh").write_text(bvh_text([{}] * 6))
+    rows = [
+        row("train", "stand", "a/stand_1.bvh"),
+        row("dev", "stand", "a/stand_2.bvh"),
+        row("train", "wave", "a/wave.bvh"),
+        row("train", "wave", "a/nod.bvh"),
+        row("test", "wave", "a/bow.bvh"),
+    ]
+    names = {"apart": ["a/wave"], "all": ["a/stand_1", "a/wave", "a/nod"]}
+    greetings = [text.replace("\n", "\tgreeting\n") for text in rows[3:]]
+    head = HEADER.replace("\n", "\tperformance\n")
+    # Said by the manifest (nod and bow are one greeting), or seen by the names.
+    said = head + "".join([text.replace("\n", "\t\n") for text in rows[:3]] + greetings)
+    for manifest, apart in ((said, names["apart"]), (HEADER + "".join(rows), None)):
+        (root / "manifest.tsv").write_text(manifest)
+        lines: list[str] = []
+        for wanted, kept in (
+            (True, apart or ["a/wave", "a/nod"]),
+            (False, names["all"]),
+        ):
+            clips = library.load_clips(
+                root, "train", None, tmp_path / "cache", lines.append, apart=wanted
+            )
+            assert [clip.info.name for clip in clips] == kept
+        (told,) = [line for line in lines if "held out" in line]
+        assert "a/stand_1" in told
+        assert ("a/nod" in told) == (apart is not None)
+
+
 @pytest.mark.parametrize(
     ("manifest", "message"),
     [

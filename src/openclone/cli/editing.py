@@ -118,7 +118,7 @@ def motions_augment(
     for option, value in (("hands", hands), ("pairs", pairs), ("rates", rates)):
         if value < 0:
             raise InputError(f"--{option} is {value}", remedy="give 0 or more")
-    clips = load_clips((source,), split, "")
+    clips = load_clips((source,), split, "", apart=split == "train")
     made: list[Clip] = []
     refused: dict[str, int] = {}
     for number, clip in enumerate(clips):

@@ -37,7 +37,7 @@ def wait_passively() -> None:
 
 def _training_clips(motions: tuple[Path, ...]) -> list[Clip]:
     if motions:
-        return load_clips(motions, "train", "")
+        return load_clips(motions, "train", "", apart=True)
     print("no --motions: training on synthetic motions")
     return synthetic_clips(0, 10.0)
 

@@ -22,8 +22,13 @@ def category_names(text: str) -> tuple[str, ...] | None:
     return tuple(filter(None, text.replace(" ", "").split(","))) or None
 
 
-def load_clips(folders: tuple[Path, ...], split: str, categories: str) -> list[Clip]:
-    """Clips of all ``folders``; recordings are retargeted and cached on the way."""
+def load_clips(
+    folders: tuple[Path, ...], split: str, categories: str, *, apart: bool = False
+) -> list[Clip]:
+    """Clips of all ``folders``; recordings are retargeted and cached on the way.
+
+    With ``apart``, takes of what the folder's manifest holds out are left out.
+    """
     from openclone.motion import library
     from openclone.motion.batch import available_workers
 
@@ -36,6 +41,7 @@ def load_clips(folders: tuple[Path, ...], split: str, categories: str) -> list[C
             library.default_cache(),
             print,
             available_workers(),
+            apart,
         )
     return clips
 

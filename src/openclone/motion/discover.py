@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -107,11 +106,7 @@ def _renamed(recording: Recording, source: Path) -> Recording:
 
 def _in_source(source: Path, category: str, licence: str) -> list[Recording]:
     if source.is_dir() and (source / library.MANIFEST).is_file():
-        performances = _performances(source)
-        return [
-            _recording(entry, performances.get(entry.path, ""))
-            for entry in library.read_manifest(source)
-        ]
+        return [_recording(entry) for entry in library.read_manifest(source)]
     if source.is_dir():
         paths = sorted(p for p in source.rglob("*") if looks_like_motion(p))
         root = source
@@ -123,20 +118,11 @@ def _in_source(source: Path, category: str, licence: str) -> list[Recording]:
     for path in paths:
         name = path.relative_to(root).with_suffix("").as_posix()
         kind = category or guess_category(name)
-        found.append(_recording(Entry(name, path, "", kind, licence), "", category))
+        found.append(_recording(Entry(name, path, "", kind, licence), category))
     return found
 
 
-def _performances(root: Path) -> dict[Path, str]:
-    """Path -> performance, where ``root``'s manifest has that column."""
-    with (root / library.MANIFEST).open(encoding="utf-8", errors="replace") as stream:
-        rows = csv.DictReader(stream, delimiter="\t", quoting=csv.QUOTE_NONE)
-        return {
-            root / (row["path"] or ""): row.get("performance") or "" for row in rows
-        }
-
-
-def _recording(entry: Entry, performance: str, category: str = "") -> Recording:
+def _recording(entry: Entry, category: str = "") -> Recording:
     """Describe ``entry``; a ready clip brings its own name, source and category."""
     source = entry.name + entry.path.suffix
     info = ClipInfo(entry.name, entry.category, source, entry.licence, FPS)
@@ -151,4 +137,4 @@ def _recording(entry: Entry, performance: str, category: str = "") -> Recording:
             category=category or (own.category if not entry.split else entry.category),
             licence=licence,
         )
-    return Recording(entry, info, performance or performance_of(info.name))
+    return Recording(entry, info, entry.performance or performance_of(info.name))

@@ -21,6 +21,7 @@ from openclone.motion.proportions import FPS
 from openclone.motion.quality import Gate, faults
 from openclone.motion.readers import SUFFIXES, source_files
 from openclone.motion.readers import read_recording as read_recording
+from openclone.motion.splits import performance_of
 
 MANIFEST = "manifest.tsv"
 COLUMNS = ("split", "category", "path", "format", "seconds", "licence")
@@ -37,6 +38,7 @@ class Entry:
         name: the path without its suffix, e.g. ``"accad/Female1_B03_Walk1"``.
         path: the recording or clip file.
         split, category, licence: as in the manifest.
+        performance: what it is a take of; empty where the manifest does not say.
     """
 
     name: str
@@ -44,6 +46,7 @@ class Entry:
     split: str
     category: str
     licence: str
+    performance: str = ""
 
 
 def default_cache() -> Path:
@@ -86,6 +89,7 @@ def _entry(row: dict[str, str | None], root: Path, where: str) -> Entry:
         split=values["split"],
         category=values["category"],
         licence=values["licence"] or "unknown",
+        performance=row.get("performance") or "",
     )
 
 
@@ -148,6 +152,20 @@ def _check_categories(
                 where=where,
                 remedy="use one of " + ", ".join(c for c in CATEGORIES if c in present),
             )
+
+
+def with_takes_elsewhere(entries: list[Entry], split: str) -> list[Entry]:
+    """The entries of ``split`` whose performance has takes in another split.
+
+    Two takes of one performance are nearly the same motion, see `splits`.
+    """
+
+    def performance(entry: Entry) -> str:
+        name = entry.name.removeprefix(f"{entry.split}/")
+        return entry.performance or performance_of(name)
+
+    elsewhere = {performance(entry) for entry in entries if entry.split != split}
+    return [e for e in entries if e.split == split and performance(e) in elsewhere]
 
 
 def job_of(entry: Entry, cache: Path) -> Job:
@@ -241,6 +259,7 @@ def load_clips(
     cache: Path,
     report: Callable[[str], None],
     workers: int = 1,
+    apart: bool = False,
 ) -> list[Clip]:
     """Load the motions of one split as clips of the G1.
 
@@ -253,6 +272,8 @@ def load_clips(
         cache: folder that keeps the retargeted clips.
         report: receives a line per motion that is new or left out.
         workers: processes that retarget; see `batch.run_jobs` before asking for more.
+        apart: leave out, and report, motions whose performance has takes in another
+            split of the manifest: nothing like what is held out gets into training.
 
     Raises:
         InputError: a file is missing or malformed, or the split or a category unknown.
@@ -269,5 +290,15 @@ def load_clips(
         )
     if not (root / MANIFEST).is_file():
         return _load_folder(root, split, categories)
-    chosen = _choose(read_manifest(root), split, categories, str(root / MANIFEST))
+    entries = read_manifest(root)
+    chosen = _choose(entries, split, categories, str(root / MANIFEST))
+    if apart:
+        shared = with_takes_elsewhere(entries, split)
+        left_out = [entry.name for entry in chosen if entry in shared]
+        chosen = [entry for entry in chosen if entry not in shared]
+        if left_out:
+            report(
+                f"{len(left_out)} motions of {split!r} left out, as other takes of "
+                f"their performances are held out: {', '.join(left_out)}"
+            )
     return _load_entries(chosen, cache, report, workers)
