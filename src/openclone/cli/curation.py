@@ -27,6 +27,7 @@ def motions_build(
     seed: int = 0,
     dev_share: float = 0.15,
     resplit: bool = False,
+    enrich: bool = False,
     workers: int | None = None,
     category: str = "",
     licence: str = "unknown",
@@ -45,6 +46,8 @@ def motions_build(
         dev_share: share of each category that is held out in the split dev.
         resplit: choose anew for all; by default the splits that a manifest gives are
             kept, except that a performance with a take held out is held out as a whole.
+        enrich: add to the split train what training gains from: its turns and
+            side-steps at a slower pace, its stands and gestures squatting.
         workers: processes; one per core by default. The result is the same.
         category: of recordings without a manifest; by default judged by their names.
         licence: of recordings without a manifest.
@@ -53,23 +56,20 @@ def motions_build(
     """
     from openclone.evaluation.motion_report import figures_of, write_motion_report
     from openclone.motion.curate import BuildConfig, build
+    from openclone.motion.enrich import Enrichment
 
     positive("--workers", workers)
     if not 0 <= dev_share <= 0.5:
         raise InputError(f"--dev-share is {dev_share:g}", remedy="give 0 to 0.5")
     if not sources:
         raise InputError("no sources", remedy="name recordings or folders of them")
-    config = BuildConfig(seed, dev_share, resplit)
+    more = Enrichment() if enrich else None
+    config = BuildConfig(seed, dev_share, resplit, enrichment=more)
     with _progress_bar() as progress:
         made = build(
-            sources,
-            out,
-            config,
-            workers=workers,
-            progress=progress,
-            category=category,
-            licence=licence,
-        )
+            sources, out, config, workers=workers, progress=progress,
+            category=category, licence=licence,
+        )  # fmt: skip
     _print_build(made, out)
     page, note = write_motion_report(made, out, pictures)
     if note:
@@ -138,13 +138,15 @@ def motions_inspect(
         port: of the view.
         host: address that serves the view; this machine only by default.
     """
-    from openclone.motion.quality import faults
+    from openclone.motion.quality import Gate, faults
+    from openclone.motion.sources.gliding import gate_for
     from openclone.motion.summary import summarize
 
     motion, quality, recording = _clip_at(clip, recording)
     print(summarize(motion))
     print(f"quality   {quality}")
-    print(f"gate      {'; '.join(faults(quality)) or 'passed'}")
+    reasons = faults(quality, gate_for(motion.info, Gate()))
+    print(f"gate      {'; '.join(reasons) or 'passed'}")
     if view:
         _show(motion, recording, port, host)
 

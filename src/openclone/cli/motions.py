@@ -18,7 +18,12 @@ def file_name(clip: Clip) -> str:
 
 
 def motions_synthesize(
-    *, out: Path, seed: int = 0, minutes: float = 30.0, workers: int | None = None
+    *,
+    out: Path,
+    seed: int = 0,
+    minutes: float = 30.0,
+    gliding: int = 0,
+    workers: int | None = None,
 ) -> None:
     """Make the default synthetic motions and write them as clip files.
 
@@ -26,16 +31,22 @@ def motions_synthesize(
         out: folder for the clips.
         seed: equal seeds give equal motions.
         minutes: least length of all motions together.
+        gliding: also so many gliding laps of 45 s: the standing body carried along as
+            an operator's head moves, feet sliding on purpose. For training only.
         workers: processes; one per core by default. The result is the same.
     """
     from openclone.motion.batch import available_workers
     from openclone.motion.clip import save_clip
+    from openclone.motion.sources.gliding import gliding_set
     from openclone.motion.sources.synthetic import default_set
 
     positive("--minutes", minutes)
+    if gliding < 0:
+        raise InputError(f"--gliding is {gliding}", remedy="give 0 or more")
     positive("--workers", workers)
     workers = workers or available_workers()
     clips = default_set(seed, minutes, workers=1 if minutes < 3 else workers)
+    clips += gliding_set(seed, gliding)
     for clip in clips:
         save_clip(clip, out / file_name(clip))
     total = sum(clip.seconds for clip in clips) / 60

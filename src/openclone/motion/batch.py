@@ -39,12 +39,16 @@ class Job:
         path: the recording or clip file.
         result: where clip (``.npz``) and figures (``.json``) are kept; no suffix.
         ready: ``path`` is a clip already and only needs measuring.
+        slower: the recording is played so many times longer before it is retargeted.
+        head_m: ``path`` is a clip that is to go down until its head is so high.
     """
 
     info: ClipInfo
     path: Path
     result: Path
     ready: bool = False
+    slower: float = 1.0
+    head_m: float | None = None
 
 
 @dataclass(frozen=True)
@@ -163,20 +167,9 @@ def measure_clip(clip: Clip) -> ClipQuality:
 
 def work(job: Job) -> Outcome:
     """Do one job in this process."""
-    from openclone.motion.readers import read_motion
-    from openclone.motion.retarget import follow
-
     try:
-        if job.ready:
-            clip = load_clip(job.path)
-            quality = measure_clip(clip)
-        else:
-            motion = read_motion(job.path)
-            if isinstance(motion, Clip):  # the G1's already, in a foreign format
-                clip = replace(motion.resampled(job.info.fps), info=job.info)
-                quality = measure_clip(clip)
-            else:
-                clip, quality = follow(motion, job.info, _solver())
+        clip, quality = _made(job)
+        if not job.ready:
             save_clip(clip, job.result.with_suffix(".npz"))
     except InputError as error:
         return Outcome(job, None, str(error))
@@ -185,6 +178,28 @@ def work(job: Job) -> Outcome:
         return Outcome(job, None, f"{job.path}: cannot be retargeted ({error})")
     _remember(job, quality)
     return Outcome(job, quality)
+
+
+def _made(job: Job) -> tuple[Clip, ClipQuality]:
+    """The clip of a job and its figures."""
+    from openclone.motion.heights import gone_down
+    from openclone.motion.readers import read_motion
+    from openclone.motion.retarget import follow
+
+    if job.ready or job.head_m is not None:
+        clip = load_clip(job.path)
+        if job.head_m is not None:
+            clip = gone_down(clip, job.head_m)
+        return clip, measure_clip(clip)
+    motion = read_motion(job.path)
+    if not isinstance(motion, Clip):
+        slowed = replace(motion, fps=motion.fps / job.slower)
+        return follow(slowed, job.info, _solver())
+    if job.slower != 1.0:
+        raise InputError("the robot's own motion is balanced at its own pace only")
+    # The G1's already, in a foreign format.
+    clip = replace(motion.resampled(job.info.fps), info=job.info)
+    return clip, measure_clip(clip)
 
 
 def _remember(job: Job, quality: ClipQuality) -> None:

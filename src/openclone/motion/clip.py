@@ -48,6 +48,11 @@ class ClipInfo:
     licence: str
     fps: float
 
+    @property
+    def recorded(self) -> bool:
+        """Whether it was made from a recording, edited or not, and not synthesized."""
+        return not self.source.startswith("openclone")
+
 
 @dataclass(frozen=True)
 class Clip:

@@ -20,8 +20,10 @@ from openclone.motion import library, splits
 from openclone.motion.batch import Job, Outcome, available_workers, run_jobs
 from openclone.motion.clip import ClipInfo, clip_hash, load_clip, save_clip
 from openclone.motion.discover import Recording, discover
+from openclone.motion.enrich import Enrichment
 from openclone.motion.quality import ClipQuality, Gate, faults
 from openclone.motion.retarget import VERSION
+from openclone.motion.sources.gliding import gate_for
 
 BUILD_FILE, REJECTS = "build.json", "rejects.tsv"
 EXTRA_COLUMNS = ("source", "performance", "sha256", *ClipQuality.columns())
@@ -37,12 +39,14 @@ class BuildConfig:
         dev_share: share of each category's time that is held out.
         resplit: choose for all, not only for motions without a split in a manifest.
         gate: what a clip must reach.
+        enrichment: what is made of the training clips and added to them; None: nothing.
     """
 
     seed: int = 0
     dev_share: float = 0.15
     resplit: bool = False
     gate: Gate = field(default_factory=Gate)
+    enrichment: Enrichment | None = None
 
 
 @dataclass(frozen=True)
@@ -134,6 +138,34 @@ def build(
     cache = cache or library.default_cache()
     found = discover(sources, category, licence)
     jobs, rejects = _jobs(found, cache)
+    workers = workers or available_workers()
+    accepted, refused = _sorted_out(jobs, config.gate, workers, progress)
+    recordings = {recording.name: recording for recording in found}
+    sides, moved = _sides(accepted, recordings, config)
+    performances = {name: item.performance for name, item in recordings.items()}
+    if config.enrichment is not None:
+        training = [o for o in accepted if sides[o.job.info.name] == splits.TRAIN]
+        jobs = config.enrichment.jobs(training)
+        added, unfit = _sorted_out(jobs, config.gate, workers, progress)
+        for outcome in added:
+            name = outcome.job.info.name
+            sides[name] = splits.TRAIN
+            performances[name] = performances[name.rpartition("~")[0]]
+        accepted, refused = [*accepted, *added], [*refused, *unfit]
+    clips, digest = _store(accepted, performances, sides, out)
+    rejects = sorted([*rejects, *refused], key=lambda reject: reject.info.name)
+    made = Build(clips, tuple(rejects), config, digest, moved)
+    _write_tables(made, out, sources)
+    return made
+
+
+def _sorted_out(
+    jobs: Sequence[Job],
+    gate: Gate,
+    workers: int,
+    progress: Callable[[int, int, Outcome], None],
+) -> tuple[list[Outcome], list[Reject]]:
+    """Do ``jobs``: what passes the gate, and what does not."""
     count = 0
 
     def tell(outcome: Outcome) -> None:
@@ -141,23 +173,17 @@ def build(
         count += 1
         progress(count, len(jobs), outcome)
 
-    outcomes = run_jobs(jobs, workers or available_workers(), tell)
     accepted: list[Outcome] = []
-    for outcome in outcomes:
-        reasons = (outcome.error,)
+    rejects: list[Reject] = []
+    for outcome in run_jobs(jobs, workers, tell):
+        info, reasons = outcome.job.info, (outcome.error,)
         if outcome.quality is not None:
-            reasons = faults(outcome.quality, config.gate)
+            reasons = faults(outcome.quality, gate_for(info, gate))
         if reasons:
-            rejects.append(Reject(outcome.job.info, reasons, outcome.quality))
+            rejects.append(Reject(info, reasons, outcome.quality))
         else:
             accepted.append(outcome)
-    recordings = {recording.name: recording for recording in found}
-    sides, moved = _sides(accepted, recordings, config)
-    clips, digest = _store(accepted, recordings, sides, out)
-    rejects.sort(key=lambda reject: reject.info.name)
-    made = Build(clips, tuple(rejects), config, digest, moved)
-    _write_tables(made, out, sources)
-    return made
+    return accepted, rejects
 
 
 def _jobs(found: list[Recording], cache: Path) -> tuple[list[Job], list[Reject]]:
@@ -183,17 +209,23 @@ def _jobs(found: list[Recording], cache: Path) -> tuple[list[Job], list[Reject]]
 def _sides(
     accepted: list[Outcome], recordings: dict[str, Recording], config: BuildConfig
 ) -> tuple[dict[str, str], tuple[splits.Moved, ...]]:
-    """Name -> split of all accepted motions, and those that were given another."""
+    """Name -> split of all accepted motions, and those that were given another.
+
+    Nothing synthesized is held out: there is more of it for the asking.
+    """
     takes = []
     for outcome in accepted:
         recording = recordings[outcome.job.info.name]
+        given = "" if config.resplit else recording.entry.split
+        if not recording.info.recorded:
+            given = given or splits.TRAIN
         takes.append(
             splits.Take(
                 recording.name,
                 recording.performance,
                 recording.info.category,
                 outcome.quality.seconds if outcome.quality else 0.0,
-                "" if config.resplit else recording.entry.split,
+                given,
             )
         )
     return splits.settle(takes, config.seed, config.dev_share)
@@ -201,7 +233,7 @@ def _sides(
 
 def _store(
     accepted: list[Outcome],
-    recordings: dict[str, Recording],
+    performances: dict[str, str],
     sides: dict[str, str],
     out: Path,
 ) -> tuple[tuple[BuiltClip, ...], str]:
@@ -211,6 +243,8 @@ def _store(
     for outcome in accepted:
         clip = load_clip(outcome.clip_path)
         given = outcome.job.info
+        if outcome.job.head_m is not None:
+            given = replace(given, category=clip.info.category)
         clip = replace(clip, info=replace(given, fps=clip.info.fps))
         split = sides[given.name]
         relative = f"{split}/{given.name.replace('/', '__')}.npz"
@@ -218,7 +252,7 @@ def _store(
         sha256 = hashlib.sha256((out / relative).read_bytes()).hexdigest()
         assert outcome.quality is not None
         motions.append(clip)
-        performance = recordings[given.name].performance
+        performance = performances[given.name]
         built.append(
             BuiltClip(clip.info, split, relative, performance, sha256, outcome.quality)
         )

@@ -26,6 +26,9 @@ _SHOULDER_PITCH = (22, 29)
 _PELVIS_SHARE = 0.6
 """Share of the lean that the hips take; the waist takes the rest."""
 _PASSES = 8
+VERSION = 1
+"""Raise when the output changes: cached clips of older versions are made again."""
+_SHORT_S = 4.0
 
 
 @dataclass(frozen=True)
@@ -84,6 +87,11 @@ def _lowered(qpos: np.ndarray, drop: np.ndarray, lean: np.ndarray) -> np.ndarray
     return low
 
 
+def lowered_name(name: str, height: float) -> str:
+    """Name of the clip ``name`` with the head at ``height`` metres."""
+    return f"{name}~head{round(100 * height):03d}"
+
+
 def with_head_height(
     clip: Clip, height: float, config: HeightConfig | None = None
 ) -> Clip:
@@ -112,12 +120,22 @@ def with_head_height(
             remedy="choose a shorter one",
         )
     wanted = heads + weight * (height - float(np.median(settled)))
-    name = f"{clip.info.name}~head{round(100 * height):03d}"
+    name = lowered_name(clip.info.name, height)
     qpos = _at_heights(clip, heads, wanted, config, name)
     info = replace(clip.info, name=name, category=_category(clip, heads, height))
     edited = clip_from_qpos(info, qpos)
     check_edit(edited, (clip,))
     return edited
+
+
+def gone_down(clip: Clip, height: float) -> Clip:
+    """``clip`` going down at its beginning until the head is at ``height`` metres.
+
+    Raises:
+        EditRefused: see `with_head_height`.
+    """
+    approach_s = 0.9 if clip.seconds < _SHORT_S else 1.2
+    return with_head_height(clip, height, HeightConfig(approach_s=approach_s))
 
 
 def _category(clip: Clip, heads: np.ndarray, height: float) -> str:

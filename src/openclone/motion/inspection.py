@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from openclone.errors import InputError
 from openclone.motion import library
 from openclone.motion.clip import Clip
 from openclone.motion.curate import BUILD_FILE
+from openclone.motion.enrich import slowness
 from openclone.motion.skeleton import JOINTS, SIDES, HumanMotion, start_at_origin
 
 _CHAINS = (
@@ -50,6 +52,7 @@ def human_beside(clip: Clip, recording: Path) -> np.ndarray:
         InputError: the recording cannot be read or is not this clip's.
     """
     motion: HumanMotion = library.read_recording(recording)
+    motion = replace(motion, fps=motion.fps / slowness(clip.info.name))
     motion = start_at_origin(motion.resampled(clip.info.fps))
     if abs(motion.num_frames - clip.num_frames) > 2:
         raise InputError(
