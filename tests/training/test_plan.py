@@ -11,7 +11,7 @@ import torch
 
 from openclone.cli import learning
 from openclone.errors import InputError
-from openclone.policy.teacher import TEACHER_SIZE
+from openclone.policy.teacher import teacher_size
 from openclone.training import plan
 from openclone.training.presets import TEACHERS
 from openclone.training.progress import Budget
@@ -37,7 +37,8 @@ def test_storage_counts_every_tensor_of_a_roll_out():
     got = plan._ppo_bytes(trainer.ppo, config, robots=160)
     # Observation, action, and reward, value, return, advantage, log-probability in
     # 4 bytes each, and a byte for the end; as much again twice for the one minibatch.
-    row = 4 * (TEACHER_SIZE + 29 + 5) + 1
+    seen = teacher_size(len(SMOKE.task.preview))
+    row = 4 * (seen + 29 + 5) + 1
     networks = 16 * sum(
         p.numel()
         for net in (trainer.ppo.actor, trainer.ppo.critic)

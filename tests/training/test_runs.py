@@ -369,6 +369,12 @@ def test_other_data_is_recordings_as_they_were(make_clip):
     assert len(STUDENTS["fast"].select(clips)) == 6
 
 
+def test_a_teacher_with_another_preview_is_refused(trained, make_clip, tmp_path):
+    blind = replace(STUDENT, task=replace(STUDENT.task, preview=()))
+    with pytest.raises(InputError, match="previews 4 moments, the task 0"):
+        train_student([make_clip()], trained[1], blind, tmp_path, threads=1)
+
+
 def test_one_command_trains_teacher_and_student(
     make_clip, tmp_path, monkeypatch, no_export, capsys
 ):

@@ -1,6 +1,8 @@
 import numpy as np
 import torch
+from scipy.spatial.transform import Rotation
 
+from openclone.policy.teacher import TEACHER_SIZE, teacher_size
 from openclone.robot import g1
 from openclone.training.reward_table import RewardWeights
 from openclone.training.task import TerminationLimits
@@ -94,3 +96,34 @@ def test_previous_action_is_in_units_of_the_residual(make_task):
     action = torch.full((4, 29), 0.25)
     task.step(task.residual_to_target(action))
     torch.testing.assert_close(task.action, action, atol=1e-5, rtol=0)
+
+
+def test_the_teacher_previews_where_the_reference_will_be(make_task, reference):
+    task = make_task(4, preview=(5, 400), **CALM)
+    task.jump_to(torch.tensor([10, 20, 30, 40]))
+    got = task.teacher_observation()
+    assert got.shape == (4, teacher_size(2))
+    for robot, frame in enumerate((10, 20, 30, 40)):
+        state = task.robot_state()
+        anchor = state.body_position[robot, g1.TORSO].numpy()
+        w, x, y, z = state.body_quat[robot, g1.TORSO].tolist()
+        turn = Rotation.from_quat([x, y, z, w]).as_matrix()
+        # The second moment lies behind the end of the clip, where the clip holds.
+        for moment, seen in enumerate((frame + 1 + 5, int(reference.last[frame]))):
+            later = reference.at(torch.tensor([seen]))
+            w, x, y, z = later.body_quat[0, g1.TORSO].tolist()
+            bodies = [g1.TORSO, *g1.FEET]
+            wanted = [
+                *(later.body_position[0, bodies].numpy() - anchor),
+                later.body_velocity[0, g1.TORSO].numpy(),
+                Rotation.from_quat([x, y, z, w]).apply([1.0, 0.0, 0.0]),
+            ]
+            at = TEACHER_SIZE + 15 * moment
+            np.testing.assert_allclose(
+                got[robot, at : at + 15].numpy().reshape(5, 3) @ turn.T,
+                wanted,
+                atol=1e-5,
+            )
+    assert make_task(4, preview=(), **CALM).teacher_observation().shape[1] == (
+        TEACHER_SIZE
+    )

@@ -11,6 +11,14 @@ from openclone.robot.state import RobotState
 from openclone.spatial import rotations
 
 TEACHER_SIZE = 5 * g1.NUM_JOINTS + 9 * len(g1.KEY_BODIES) + 33
+"""Values of the observation as the paper lists it."""
+PREVIEW_SIZE = 15
+"""Values for every moment of the preview."""
+
+
+def teacher_size(moments: int) -> int:
+    """Values of an observation with a preview of so many moments."""
+    return TEACHER_SIZE + PREVIEW_SIZE * moments
 
 
 def evenly_spaced(bodies: tuple[int, ...]) -> slice:
@@ -89,3 +97,33 @@ def teacher_observation(
         lag * 0.5,
     )
     return torch.cat(parts, -1)
+
+
+def preview(robot: RobotState, later: RobotState) -> torch.Tensor:
+    """What the reference will do, ``(n, 15 k)``: to step, one shifts weight before.
+
+    In the torso frame of the robot, for every moment: places of the reference's torso
+    and feet, velocity and forward direction of its torso.
+
+    Args:
+        robot: current states of n robots.
+        later: reference states at k later moments, ``(n * k, ...)``, robot by robot.
+    """
+    torso = g1.TORSO
+    turn = robot.body_quat[:, torso]
+    count = len(turn)
+    body = later.body_position
+    place = torch.stack((body[:, torso], *body[:, _FEET].unbind(1)), 1)
+    place = place.unflatten(0, (count, -1)) - robot.body_position[:, None, None, torso]
+    velocity = later.body_velocity[:, None, torso].unflatten(0, (count, -1))
+    forward = _forward(later.body_quat[:, None, torso]).unflatten(0, (count, -1))
+    vectors = torch.cat((place, velocity, forward), 2).flatten(1, 2)
+    return rotations.rotate_inverse(turn[:, None], vectors).flatten(1)
+
+
+def _forward(quat: torch.Tensor) -> torch.Tensor:
+    """World coordinates of the x axes of bodies, ``(..., 4) -> (..., 3)``."""
+    w, x, y, z = quat.unbind(-1)
+    return torch.stack(
+        (1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)), -1
+    )

@@ -214,7 +214,7 @@ def _dagger_phase(
     rng = np.random.default_rng(trainer.seed + 2)
     dagger = Dagger(
         trainer.view(preset.task),
-        load_teacher(teacher).to(trainer.reference.device),
+        load_teacher(teacher, preset.task).to(trainer.reference.device),
         trainer.student,
         preset.distillation,
         rng,
@@ -256,7 +256,7 @@ def _tuning_phase(
     env = StudentEnvironment(trainer.view(preset.tuning_task))
     student.freeze_routing()
     example = env.observe()
-    critic = load_critic(teacher, _CRITIC)
+    critic = load_critic(teacher, _CRITIC, preset.tuning_task)
     ppo = build_ppo(example, student, critic, preset.ppo)
     watchers: list[AfterUpdate] = [lambda now: _watch_routers(student, now)]
     style: AmpStyle | None = None

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from openclone.policy.constants import Constant
-from openclone.policy.teacher import evenly_spaced, teacher_observation
+from openclone.policy.teacher import evenly_spaced, preview, teacher_observation
 from openclone.robot import g1
 from openclone.robot.model import CONTROL_PERIOD, SensorLayout
 from openclone.robot.state import RobotState, read_state
@@ -110,6 +110,7 @@ class TrackingTask:
         self.action = torch.zeros(n, g1.NUM_JOINTS, device=self.device)
         self.action_scale = _ACTION_SCALE.like(self.action)
         self.style: Style | None = None
+        self._preview = torch.tensor(config.preview, device=self.device)
         self._air_time = torch.zeros(n, 2, device=self.device)
         self._displaced = torch.zeros(n, dtype=torch.bool, device=self.device)
         self._born_age = torch.zeros_like(self.frame)
@@ -149,7 +150,7 @@ class TrackingTask:
         return self.next_reference().joint_angles + self.action_scale * action
 
     def teacher_observation(self) -> torch.Tensor:
-        """(n, d): the privileged observation of section 3.1."""
+        """(n, d): the privileged observation of section 3.1, and the preview."""
         following, reference = self.next_frame(), self.next_reference()
         last = self.reference.last[following]
         ahead = torch.minimum(following + self.config.lead_frames, last)
@@ -159,7 +160,12 @@ class TrackingTask:
         shifted = replace(
             reference, body_position=reference.body_position + lead[:, None]
         )
-        return teacher_observation(self._state, shifted, self.action)
+        seen = teacher_observation(self._state, shifted, self.action)
+        if not self.config.preview:
+            return seen
+        moments = torch.minimum(following[:, None] + self._preview, last[:, None])
+        later = self.reference.at(moments.flatten())
+        return torch.cat((seen, preview(self._state, later)), 1)
 
     # Stepping ------------------------------------------------------------------------
 

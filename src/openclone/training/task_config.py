@@ -48,6 +48,8 @@ class TaskConfig:
         lead_frames: control steps by which the place of the observed reference runs
             ahead of the rewarded one. A policy that sees a moving target and its
             velocity follows it at a distance (0.18 s measured); this takes it away.
+        preview: control steps ahead at which the teacher also sees the reference; the
+            paper's teacher sees the next step alone.
         randomization: the other rows of Table A2.
     """
 
@@ -63,6 +65,7 @@ class TaskConfig:
     push_interval: float = 5.0
     push_speed: float = 0.5
     lead_frames: int = 10
+    preview: tuple[int, ...] = (5, 10, 20, 40)
     born_by_area: bool = True
     randomization: RandomizationConfig = field(default_factory=RandomizationConfig)
 

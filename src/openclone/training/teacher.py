@@ -10,8 +10,9 @@ from rsl_rl.algorithms import PPO
 from rsl_rl.models import MLPModel
 from tensordict import TensorDict
 
+from openclone.errors import InputError
 from openclone.motion.clip import Clip, clip_hash
-from openclone.policy.teacher import TEACHER_SIZE
+from openclone.policy.teacher import teacher_size
 from openclone.robot import g1
 from openclone.training.amp import AmpStyle
 from openclone.training.checkpoint import (
@@ -27,6 +28,7 @@ from openclone.training.ppo import PpoConfig, build_ppo, learn, mlp_model, resum
 from openclone.training.presets import TeacherPreset
 from openclone.training.progress import Budget, Progress, Trained
 from openclone.training.task import StepResult, TrackingTask
+from openclone.training.task_config import TaskConfig
 
 _SEEDS_APART = 1009
 GROUP = "teacher"
@@ -51,9 +53,10 @@ class TeacherEnvironment:
         return self.task.step(self.task.residual_to_target(action))
 
 
-def _new_ppo(num_envs: int, config: PpoConfig, device: torch.device) -> PPO:
-    seen = torch.zeros(num_envs, TEACHER_SIZE, device=device)
-    example = TensorDict({GROUP: seen}, batch_size=[num_envs])
+def _new_ppo(task: TrackingTask, config: PpoConfig) -> PPO:
+    size = teacher_size(len(task.config.preview))
+    seen = torch.zeros(task.num_envs, size, device=task.device)
+    example = TensorDict({GROUP: seen}, batch_size=[task.num_envs])
     actor = mlp_model(example, GROUP, g1.NUM_JOINTS, config)
     critic = mlp_model(example, GROUP, 1, config)
     return build_ppo(example, actor, critic, config)
@@ -81,7 +84,7 @@ class TeacherTrainer:
         self.task = make_task(
             load_reference(chosen, hardware), preset.task, seed, threads, hardware
         )
-        self.ppo = _new_ppo(preset.task.num_envs, preset.ppo, self.task.device)
+        self.ppo = _new_ppo(self.task, preset.ppo)
         self.style: AmpStyle | None = None
         if preset.amp is not None:
             self.style = AmpStyle(self.task.reference, preset.amp, seed)
@@ -108,6 +111,7 @@ class TeacherTrainer:
         content = {
             "ppo": self.ppo.save(),
             "hidden": list(self.preset.ppo.hidden),
+            "preview": len(self.preset.task.preview),
             "steps": trained.steps,
             "minutes": trained.minutes,
             "iterations": trained.iterations,
@@ -187,21 +191,40 @@ def train_teacher(
     return path
 
 
-def load_teacher(path: Path) -> MLPModel:
-    """The actor of a teacher checkpoint, ready for inference."""
-    return _load(path, "actor_state_dict", GROUP, g1.NUM_JOINTS).eval()
+def load_teacher(path: Path, task: TaskConfig | None = None) -> MLPModel:
+    """The actor of a teacher checkpoint, ready for inference.
+
+    Args:
+        path: the checkpoint.
+        task: where it will look; None: anywhere.
+
+    Raises:
+        InputError: not a teacher's checkpoint, or it was trained with another preview.
+    """
+    return _load(path, "actor_state_dict", GROUP, g1.NUM_JOINTS, task).eval()
 
 
-def load_critic(path: Path, group: str) -> MLPModel:
+def load_critic(path: Path, group: str, task: TaskConfig | None = None) -> MLPModel:
     """The critic of a teacher checkpoint, reading observation ``group``."""
-    return _load(path, "critic_state_dict", group, 1)
+    return _load(path, "critic_state_dict", group, 1, task)
 
 
-def _load(path: Path, part: str, group: str, outputs: int) -> MLPModel:
+def _load(
+    path: Path, part: str, group: str, outputs: int, task: TaskConfig | None
+) -> MLPModel:
     content = load_checkpoint(path)
     with fitting(path):
         config = replace(PpoConfig(), hidden=tuple(content["hidden"]))
-        example = TensorDict({group: torch.zeros(1, TEACHER_SIZE)}, batch_size=[1])
+        moments = content.get("preview", 0)
+        example = TensorDict(
+            {group: torch.zeros(1, teacher_size(moments))}, batch_size=[1]
+        )
         model = mlp_model(example, group, outputs, config)
         model.load_state_dict(content["ppo"][part])
+    if task is not None and moments != len(task.preview):
+        raise InputError(
+            f"the teacher previews {moments} moments, the task {len(task.preview)}",
+            where=str(path),
+            remedy="give a teacher trained with the same `preview` as the student's",
+        )
     return model
