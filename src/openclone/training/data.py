@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from openclone.errors import InputError
@@ -18,7 +20,15 @@ _MIN_SECONDS = 0.6
 
 def is_recorded(clip: Clip) -> bool:
     """Whether a clip is a recording as it was: neither synthesized nor edited."""
-    return not (clip.info.source.startswith("openclone") or "~" in clip.info.name)
+    return clip.info.recorded and "~" not in clip.info.name
+
+
+def top_speed(clip: Clip) -> float:
+    """Metres per second over the ground, on average over the fastest half second."""
+    step = np.diff(clip.root_position[:, :2], axis=0)
+    speed = np.linalg.norm(step, axis=1) * clip.info.fps
+    window = min(len(speed), max(1, round(0.5 * clip.info.fps)))
+    return float(np.convolve(speed, np.full(window, 1.0 / window), "valid").max())
 
 
 def select_clips(
@@ -26,8 +36,9 @@ def select_clips(
     categories: tuple[str, ...] | None,
     mirrored: bool,
     still_seconds: float,
+    fastest: float = math.inf,
 ) -> list[Clip]:
-    """Training motions: of the wanted categories, padded and mirrored.
+    """Training motions: of the wanted categories and speeds, padded and mirrored.
 
     Raises:
         InputError: no clip is left.
@@ -37,10 +48,11 @@ def select_clips(
         for clip in clips
         if (categories is None or clip.info.category in categories)
         and clip.seconds >= _MIN_SECONDS
+        and top_speed(clip) <= fastest
     ]
     if not chosen:
         raise InputError(
-            "no clip of the wanted categories",
+            "no clip of the wanted categories and speeds",
             remedy="check --motions, or use a preset with other categories",
         )
     if mirrored:

@@ -38,12 +38,15 @@ class DataChoice:
         recorded_only: leave out synthetic and edited clips.
         mirror: also train on every clip with left and right swapped.
         still_seconds: hold clips that end at rest for this long.
+        fastest: metres per second; clips that travel faster for half a second are left
+            out. 1.4 leaves out jogs, runs and side-steps at a run, and keeps walks.
     """
 
     categories: tuple[str, ...] | None = LOCOMOTION
     recorded_only: bool = False
     mirror: bool = True
     still_seconds: float = 2.0
+    fastest: float = math.inf
 
     def select(self, clips: list[Clip]) -> list[Clip]:
         """The training motions among ``clips``, padded and mirrored.
@@ -57,7 +60,9 @@ class DataChoice:
                 "this preset trains on recordings alone, and there are none",
                 remedy="give a folder of recordings with --motions",
             )
-        return select_clips(kept, self.categories, self.mirror, self.still_seconds)
+        return select_clips(
+            kept, self.categories, self.mirror, self.still_seconds, self.fastest
+        )
 
 
 _FAST_TASK = TaskConfig(

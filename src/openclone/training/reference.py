@@ -43,6 +43,7 @@ class ReferenceMotions:
         last: (F,) index of the last frame of that clip.
         category: (F,) index of the clip's category in ``category_names``.
         names, categories: one per clip.
+        recorded: one per clip, whether it was made from a recording.
     """
 
     qpos: np.ndarray
@@ -54,6 +55,7 @@ class ReferenceMotions:
     category: torch.Tensor
     names: tuple[str, ...]
     categories: tuple[str, ...]
+    recorded: tuple[bool, ...]
 
     @property
     def num_frames(self) -> int:
@@ -167,4 +169,5 @@ def build_reference(clips: list[Clip], model: mujoco.MjModel) -> ReferenceMotion
         category=torch.tensor(category_index),
         names=tuple(clip.info.name for clip in clips),
         categories=categories,
+        recorded=tuple(clip.info.recorded for clip in clips),
     )

@@ -23,14 +23,20 @@ class StartFrames:
     """
 
     def __init__(
-        self, reference: ReferenceMotions, share: float, generator: torch.Generator
+        self,
+        reference: ReferenceMotions,
+        share: float,
+        generator: torch.Generator,
+        recorded_weight: float = 1.0,
     ) -> None:
         """Begin with the same rate everywhere.
 
         Args:
             reference: the motions.
-            share: of starts drawn by failure rate; the rest is uniform.
+            share: of starts drawn by failure rate; the rest is drawn evenly over time.
             generator: of the draws, on the CPU.
+            recorded_weight: how many times more often than synthetic ones the rest
+                draws motions made from recordings.
         """
         bins = reference.num_frames // _BIN + 1
         device = reference.device
@@ -39,6 +45,10 @@ class StartFrames:
         self._share, self._generator = share, generator
         clip, self._last = reference.clip.cpu(), reference.last.cpu()
         self._first = torch.searchsorted(clip, clip)
+        recorded = torch.tensor(reference.recorded)[clip]
+        self._place = (torch.arange(bins) * _BIN).clamp(max=len(clip) - 1)
+        weight = torch.where(recorded, recorded_weight, 1.0)[self._place]
+        self._even = weight / weight.sum()
 
     def count(self, frame: torch.Tensor, terminated: torch.Tensor) -> None:
         """Note that robots were at ``frame (n,)`` and which of them failed there."""
@@ -55,11 +65,11 @@ class StartFrames:
         # Thousands of easy bins would outweigh the few hard ones.
         rate = rate**1.5
         share = self._share
-        chance = share * rate / rate.sum() + (1 - share) / len(rate)
+        chance = share * (rate / rate.sum()).cpu() + (1 - share) * self._even
         rng = self._generator
-        bins = torch.multinomial(chance.cpu(), count, replacement=True, generator=rng)
+        bins = torch.multinomial(chance, count, replacement=True, generator=rng)
         offset = torch.randint(-_BIN, _BIN, (count,), generator=rng)
-        wanted = (bins * _BIN).clamp(max=len(self._last) - 1)
+        wanted = self._place[bins]
         latest = torch.maximum(self._first[wanted], self._last[wanted] - _BIN)
         return torch.minimum(
             torch.maximum(wanted + offset, self._first[wanted]), latest

@@ -104,7 +104,9 @@ class TrackingTask:
         self._path = ActionPath(config.randomization, n, delays)
         self._factory = RobotFactory(config.randomization, physics, self._path, stream)
         ages = torch.randint(0, config.episode_steps, (n,), generator=self._torch_rng)
-        self.starts = StartFrames(reference, config.failure_share, self._torch_rng)
+        self.starts = StartFrames(
+            reference, config.failure_share, self._torch_rng, config.recorded_weight
+        )
         self.frame = torch.zeros(n, dtype=torch.long, device=self.device)
         self.age = torch.zeros_like(self.frame)
         self.action = torch.zeros(n, g1.NUM_JOINTS, device=self.device)

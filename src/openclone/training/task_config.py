@@ -35,7 +35,9 @@ class TaskConfig:
         episode_steps: control steps until an episode is cut.
         limits: early termination.
         weights: reward weights.
-        failure_share: share of resets drawn by failure rate; the rest is uniform.
+        failure_share: share of resets drawn by failure rate; the rest is even.
+        recorded_weight: how many times more often than synthetic motions the rest
+            draws those made from recordings, per second of motion.
         displaced_share: share of resets away from the reference (Table A2, born
             distance and heading).
         born_distance: metres, largest displacement.
@@ -58,6 +60,7 @@ class TaskConfig:
     limits: TerminationLimits = field(default_factory=TerminationLimits)
     weights: RewardWeights = FAST
     failure_share: float = 0.7
+    recorded_weight: float = 1.0
     displaced_share: float = 0.1
     born_distance: float = 0.3
     born_heading: float = 0.35
