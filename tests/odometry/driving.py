@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import box_room
@@ -30,9 +30,15 @@ class Drive:
     states: list[OdometryState] = field(default_factory=list)
     refused: int = 0
 
-    def worst_tracked(self) -> tuple[float, float]:
-        """Greatest error in metres and degrees while the odometry was sure."""
-        sure = np.array(self.tracking)
+    def worst_tracked(
+        self, without: tuple[float, float] = (np.inf, np.inf)
+    ) -> tuple[float, float]:
+        """Greatest error in metres and degrees while the odometry was sure.
+
+        ``without`` an interval, seconds, in which it may be wrong.
+        """
+        times = np.array(self.times)
+        sure = np.array(self.tracking) & ~((times > without[0]) & (times < without[1]))
         assert sure.any(), "never tracked"
         errors, turns = np.array(self.errors)[sure], np.array(self.turns_deg)[sure]
         return float(errors.max()), float(turns.max())
@@ -61,10 +67,9 @@ def drive(
     events: Iterable[box_room.Event],
     world: box_room.World,
     *,
-    delay: Callable[[float], float] = lambda t: 0.0,
     config: FastLioConfig | None = None,
 ) -> Drive:
-    """Run; the truth at time t is that of ``t - delay(t)``."""
+    """Run; poses are compared at the stamps of the IMU."""
     out, count = Drive(FastLio(config)), 0
     for event in events:
         try:
@@ -83,7 +88,7 @@ def drive(
         position, quat = np.zeros(3), np.array(rotations.IDENTITY)
         if health.scans:
             position, quat = out.lio.pose_at(now_ns)
-        true_position, true_quat = world.pose(np.array(event.time - delay(event.time)))
+        true_position, true_quat = world.pose(np.array(event.time))
         turn = float(rotations.angle_between(quat, true_quat))
         out.times.append(event.time)
         out.tracking.append(health.tracking)

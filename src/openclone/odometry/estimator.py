@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field, replace
-from enum import Enum
 
 import numpy as np
 
@@ -21,21 +20,19 @@ from openclone.odometry.filter import (
 )
 from openclone.odometry.matching import OUTLIER, Evidence, MatchConfig, Matcher
 from openclone.odometry.scan import Scan, ScanConfig, Thinned, prepare
+from openclone.odometry.scan_report import ScanReport, Verdict
 from openclone.odometry.voxel_map import MapConfig, VoxelMap
 
 DISTRUST, DISTRUST_ARM_M = 2.0, 0.3
 """Deviation of a doubtful prediction over the mismatch; metres for its position."""
+UPSET = (0.05, 0.02, 1.0)
+"""Deviations in rad, metres and m/s of a state that wrong stamps led to."""
+MISFIT = 0.05
+"""rad, mismatch that a scan stands for which does not fit the map well."""
+UNDISTORTIONS = 2
+"""Times that a scan is undistorted anew while the velocity is in doubt."""
 MISMATCH_SCANS = 3
 """Scans over which disagreement about the rotation is averaged."""
-
-
-class Verdict(Enum):
-    """What became of a scan."""
-
-    GOOD = "good"
-    DOUBTFUL = "used, but not mapped: it fits badly"
-    UNMATCHED = "not used: it does not fit the map"
-    BLIND = "not used: too few returns"
 
 
 @dataclass(frozen=True)
@@ -44,6 +41,7 @@ class UpdateConfig:
 
     Attributes:
         iterations: at most as many steps.
+        doubtful_iterations: the same while LiDAR and IMU disagree.
         done_turn: rad, a smaller step ends the iterations.
         done_shift: metres, the same.
         search_shift: metres; after a greater step the planes are searched again.
@@ -52,20 +50,26 @@ class UpdateConfig:
         min_agreement: share of matches among planes below which it is not used.
         good_agreement: the same, below which it is not mapped.
         max_surprise: correction in standard deviations above which it is not mapped.
+        settle: scans that must agree with the IMU again before they are mapped.
+        max_unmapped: scans after which they are mapped all the same: the odometry
+            must not lose its way in new places because one sensor is poor.
         max_mismatch: rad between the turns of LiDAR and IMU from scan to scan, above
             which one of them is wrong: then the IMU is trusted less.
     """
 
     iterations: int = 4
+    doubtful_iterations: int = 12
     done_turn: float = 1e-4
     done_shift: float = 3e-4
     search_shift: float = 0.01
     min_returns: int = 100
     min_matches: int = 60
     min_agreement: float = 0.3
-    good_agreement: float = 0.55
+    good_agreement: float = 0.7
     max_surprise: float = 8.0
-    max_mismatch: float = 0.006
+    settle: int = 3
+    max_unmapped: int = 20
+    max_mismatch: float = 0.004
 
 
 @dataclass(frozen=True)
@@ -98,43 +102,6 @@ class Interval:
     accel: np.ndarray
     up: np.ndarray | None = None
     up_sigma: float = 0.0
-
-
-@dataclass(frozen=True)
-class ScanReport:
-    """What the filter made of a scan.
-
-    Attributes:
-        verdict: whether it was used.
-        returns: points within range.
-        matches: points matched to planes of the map.
-        agreement: share of the planes found that the points lie on.
-        residual: metres, root mean square of the matches.
-        surprise: size of the correction in predicted standard deviations.
-        weakest_sigma: metres, what the scan alone knows of the position along the
-            direction it knows least.
-        weakest_direction: (3,), world, unit.
-        weakest_turn: rad, the same of the rotation.
-        rejected: points with NaN or infinite coordinates.
-        mismatch: rad, root mean square difference of what LiDAR and IMU say about the
-            rotations between the newest scans.
-        agrees: whether it is small.
-        turn: how LiDAR alone sees the sensor turned, if the scan was used.
-    """
-
-    verdict: Verdict
-    returns: int
-    matches: int = 0
-    agreement: float = 0.0
-    residual: float = 0.0
-    surprise: float = 0.0
-    weakest_sigma: float = np.inf
-    weakest_direction: np.ndarray = field(default_factory=lambda: np.zeros(3))
-    weakest_turn: float = np.inf
-    rejected: int = 0
-    mismatch: float = 0.0
-    agrees: bool = True
-    turn: LidarTurn | None = None
 
 
 def weakest(information: np.ndarray) -> tuple[float, np.ndarray, float]:
@@ -171,6 +138,14 @@ def turn_since(interval: Interval, stamp_ns: int, bias: np.ndarray) -> np.ndarra
     return rot
 
 
+def faster(path: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+    """A ``path (n, 22)`` to the same end with ``velocity (3,)`` added, m/s, world."""
+    out = path.copy()
+    out[:, 10:13] += velocity * (path[:, :1] - path[-1, 0])
+    out[:, 13:16] += velocity
+    return out
+
+
 def tilt_evidence(
     state: np.ndarray, up: np.ndarray, sigma: float
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -203,6 +178,7 @@ class Estimator:
         self._lidar_rot: np.ndarray | None = None
         self._mismatches: deque[float] = deque(maxlen=MISMATCH_SCANS)
         self._distrust = 0.0
+        self._unsettled = self._unmapped = 0
 
     def advance(self, scan: Scan, interval: Interval) -> ScanReport:
         """Take in a scan; the state moves to its end, by the IMU alone if need be."""
@@ -226,10 +202,12 @@ class Estimator:
             self._extend(thinned, np.full(len(thinned.means), 2))
             return ScanReport(Verdict.GOOD, thinned.returns, rejected=thinned.rejected)
         matcher = Matcher(thinned, self.map, self.config.match)
-        first = matcher.evidence(predicted, prior, search=True)
-        state, covariance, last = self._update(
-            predicted, prior, first, matcher, interval
-        )
+        state, covariance, last = self._update(predicted, prior, matcher, interval)
+        for _ in range(UNDISTORTIONS if self._unsettled else 0):
+            moved = faster(path, state[m.VEL] - predicted[m.VEL])
+            thinned = prepare(scan, interval.start_ns, moved, lidar, self.config.scan)
+            matcher = Matcher(thinned, self.map, self.config.match)
+            state, covariance, last = self._update(predicted, prior, matcher, interval)
         report = self._judge(predicted, prior, state, last, thinned)
         if report.verdict is Verdict.UNMATCHED:
             self._commit(scan.end_ns, predicted, prior)
@@ -237,7 +215,7 @@ class Estimator:
             return report
         report = self._compare_turns(report, predicted, state, last, scan, interval)
         self._commit(scan.end_ns, state, covariance)
-        if report.verdict is Verdict.GOOD:
+        if report.verdict is Verdict.GOOD and self._may_map():
             # A point off its plane may start a new cell, but must not bend old ones.
             self._extend(thinned, np.where(matcher.status == OUTLIER, 1, 2))
         return report
@@ -246,19 +224,15 @@ class Estimator:
         self,
         predicted: np.ndarray,
         prior: np.ndarray,
-        evidence: Evidence,
         matcher: Matcher,
         interval: Interval,
     ) -> tuple[np.ndarray, np.ndarray, Evidence]:
-        """The iterated update; also the evidence at its result.
-
-        ``evidence`` is the one at ``predicted``.
-        """
+        """The iterated update; also the evidence at its result."""
         config = self.config.update
         state, covariance, search = predicted, prior, True
-        for iteration in range(config.iterations):
-            if iteration:
-                evidence = matcher.evidence(state, prior, search=search)
+        doubtful = self._unsettled > 0
+        for _ in range(config.doubtful_iterations if doubtful else config.iterations):
+            evidence = matcher.evidence(state, prior, search=search)
             information, gradient = evidence.information, evidence.gradient
             if interval.up is not None:
                 extra = tilt_evidence(state, interval.up, interval.up_sigma)
@@ -333,12 +307,44 @@ class Estimator:
         mismatch = float(np.sqrt(sum(self._mismatches) / MISMATCH_SCANS))
         agrees = mismatch <= self.config.update.max_mismatch
         self._distrust = 0.0 if agrees else mismatch
+        good = report.verdict is Verdict.GOOD
+        if not good:
+            self._distrust = max(mismatch, MISFIT)
+        self._unsettled = (
+            max(0, self._unsettled - 1)
+            if agrees and good
+            else self.config.update.settle
+        )
         return replace(
             report,
             mismatch=mismatch,
             agrees=agrees,
-            turn=LidarTurn(middle_ns, now @ back.T),
+            turn=LidarTurn(middle_ns, now @ back.T) if good else None,
         )
+
+    def _may_map(self) -> bool:
+        """Not while the pose is in doubt: a bent map would outlast the doubt."""
+        if self._unsettled and self._unmapped < self.config.update.max_unmapped:
+            self._unmapped += 1
+            return False
+        self._unmapped = self._unmapped if self._unsettled else 0
+        return True
+
+    def clocks_set(self, step_ns: int, *, upset: bool) -> None:
+        """The LiDAR's stamps are corrected by ``step_ns``: so is that of the state.
+
+        ``upset``: so much that the state may be off.
+        """
+        self.stamp_ns += step_ns
+        self._mismatches.clear()
+        self._lidar_rot = None
+        if not upset:
+            return
+        deviations = np.zeros(m.ERROR_SIZE)
+        deviations[m.E_ROT], deviations[m.E_POS], deviations[m.E_VEL] = UPSET
+        self.covariance = self.covariance + np.diag(deviations**2)
+        self._distrust = 0.0
+        self._unsettled = self.config.update.settle
 
     def _doubt(self) -> np.ndarray | float:
         """What is added to the covariance of the prediction while the IMU errs."""

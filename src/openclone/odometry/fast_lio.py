@@ -22,17 +22,11 @@ import numpy as np
 from openclone.errors import InputError
 from openclone.odometry import manifold as m
 from openclone.odometry.clock_offset import ClockConfig, ClockOffset
-from openclone.odometry.estimator import (
-    Estimator,
-    EstimatorConfig,
-    Interval,
-    ScanReport,
-    Verdict,
-)
-from openclone.odometry.filter import coast
+from openclone.odometry.estimator import Estimator, EstimatorConfig, Interval
 from openclone.odometry.health import HealthConfig, LioHealth
-from openclone.odometry.history import PoseHistory
+from openclone.odometry.history import LivePoses
 from openclone.odometry.imu import (
+    STANDARD_GRAVITY,
     ClockJump,
     ImuBuffer,
     ImuConfig,
@@ -41,6 +35,7 @@ from openclone.odometry.imu import (
 )
 from openclone.odometry.initialization import StartConfig, start, unrest
 from openclone.odometry.scan import Scan, check_scan
+from openclone.odometry.scan_report import ScanReport, Verdict
 from openclone.odometry.state import OdometryState
 from openclone.odometry.voxel_map import VoxelMap
 from openclone.odometry.watch import Watch
@@ -48,6 +43,11 @@ from openclone.spatial import rotations
 
 MID360_IMU_FROM_LIDAR = (-0.011, -0.02329, 0.04412)
 """Metres. Livox states the IMU at (11.0, 23.29, -44.12) mm in the cloud's frame."""
+
+MAX_UNSEEN = 0.25
+"""Seconds of the still second that no scan need show."""
+RETRY_SCANS = 3
+"""After so many more scans a start that failed is tried again."""
 
 
 @dataclass(frozen=True)
@@ -87,6 +87,9 @@ class FastLioConfig:
 class FastLio:
     """LiDAR-inertial odometry of one sensor.
 
+    Poses are on the IMU's clock: it carries them between the scans. If the LiDAR's
+    clock is found to differ, its stamps are corrected (`LioHealth.clock_offset_ns`).
+
     `add_imu`, `add_scan` and `pose_at` may be called from different threads; a scan
     being matched blocks neither of the others. Input that cannot be used raises
     `InputError`, is counted, and changes nothing.
@@ -98,7 +101,7 @@ class FastLio:
         self._lock, self._scan_lock = threading.Lock(), threading.Lock()
         self._imu = ImuBuffer(self.config.stream)
         self._map = VoxelMap(self.config.estimator.map)
-        self._history = PoseHistory(self.config.history, self.config.max_ahead)
+        self._history = LivePoses(self._imu, self.config.history, self.config.max_ahead)
         self._watch = Watch(self.config.health)
         self._lidar = np.concatenate(
             (
@@ -121,7 +124,6 @@ class FastLio:
         self._estimator: Estimator | None = None
         self._waiting: list[Scan] = []
         self._tilts: deque[tuple[int, np.ndarray]] = deque(maxlen=1024)
-        self._live = np.zeros(m.STATE_SIZE)
         self._clock = ClockOffset(self.config.clock)
 
     def add_imu(self, stamp_ns: int, gyro: Any, accel: Any) -> None:
@@ -146,7 +148,7 @@ class FastLio:
                 self._watch.restart()
                 stamp = self._imu.append(stamp_ns, gyro, accel)
             if self._estimator is not None:
-                self._run_live(stamp)
+                self._history.follow(stamp)
 
     def add_tilt(self, stamp_ns: int, up: Any) -> None:
         """Anchor roll and pitch to another IMU.
@@ -170,11 +172,12 @@ class FastLio:
         Args:
             points: (N, 3), metres, LiDAR frame as measured (not undistorted). Zeros
                 (no return), NaN and points out of range are left out.
-            stamps_ns: (N,), whole nanoseconds, in any order within the scan.
+            stamps_ns: (N,), whole nanoseconds, in any order within the scan; on the
+                clock of `add_imu` up to 0.1 s, which is found while the sensor turns.
 
         Returns:
-            The state at the scan's newest point; by the IMU alone if the scan could
-            not be used.
+            The state at the scan's newest point, on the IMU's clock; by the IMU alone
+            if the scan could not be used.
 
         Raises:
             InputError: wrong shape, unit or order, or no IMU samples up to the scan.
@@ -183,6 +186,7 @@ class FastLio:
             try:
                 scan = check_scan(points, stamps_ns, self.config.estimator.scan)
                 with self._lock:
+                    scan = scan.moved(self._clock.offset_ns)
                     self._check_order(scan)
                     estimator = self._estimator
             except InputError:
@@ -284,7 +288,8 @@ class FastLio:
         self._waiting.append(scan)
         self._watch.wait(scan.end_ns, "waiting for one still second")
         with self._lock:
-            if self._imu.oldest_ns > begin:
+            unseen = self._waiting[0].start_ns - begin
+            if self._imu.oldest_ns > begin or unseen > MAX_UNSEEN * 1e9:
                 return
             _, gyro, accel = self._imu.between(begin, scan.end_ns)
             reason = unrest(gyro, accel, config)
@@ -313,7 +318,7 @@ class FastLio:
 
     def _replay(self, estimator: Estimator) -> None:
         """Run the scans of the still second; the start fails if they show motion."""
-        waiting, self._waiting = self._waiting, []
+        waiting, self._waiting = self._waiting, self._waiting[RETRY_SCANS:]
         config = self.config.start
         path = [(estimator.stamp_ns, estimator.state)]
         for scan in waiting:
@@ -328,12 +333,18 @@ class FastLio:
                 return
             self._watch.take(scan.end_ns, report)
             path.append((estimator.stamp_ns, estimator.state))
+        gravities = [state[m.GRAVITY] for _, state in (path[0], path[-1])]
+        tilt = float(np.linalg.norm(gravities[1] - gravities[0])) / STANDARD_GRAVITY
+        if tilt > config.max_tilt:
+            self._watch.wait(path[-1][0], "not started: the sensor slows down")
+            return
+        self._waiting = []
         with self._lock:
             self._estimator = estimator
             self._history.clear()
             for stamp, state in path:
                 self._history.append(stamp, state, np.zeros(3))
-            self._restart_live(estimator)
+            self._history.restart(estimator.stamp_ns, estimator.state)
 
     def _publish(self, estimator: Estimator, scan: Scan, report: ScanReport) -> None:
         with self._lock:
@@ -342,41 +353,19 @@ class FastLio:
             self._watch.take(scan.end_ns, report)
             if report.verdict in (Verdict.GOOD, Verdict.DOUBTFUL):
                 self._compare_clocks(estimator, report)
-                self._restart_live(estimator)
-            else:
-                self._clock.clear()
+                self._history.restart(estimator.stamp_ns, estimator.state)
 
     def _compare_clocks(self, estimator: Estimator, report: ScanReport) -> None:
         """Look for an offset of the clocks when LiDAR and IMU turn differently."""
         if report.turn is not None:
             self._clock.take(report.turn)
-        if report.agrees or not self.config.clock.correct:
+        if len(self._clock) == 0 or not self.config.clock.correct:
             return
         begin_ns, newest_ns = self._clock.begin_ns, self._imu.newest_ns
         times, gyro, _ = self._imu.between(begin_ns, newest_ns)
         bias = estimator.state[m.GYRO_BIAS]
-        late = self._clock.find(begin_ns, times, gyro - bias, newest_ns)
-        if late:
-            self._clock.clear()
-            self._watch.clocks_differ(late)
-            self._imu.shift(-round(late * 1e9))
-
-    def _restart_live(self, estimator: Estimator) -> None:
-        """Continue the IMU-rate poses from the filter's newest state."""
-        self._live = estimator.state
-        self._history.cut(estimator.stamp_ns)
-        stamps = self._imu.stamps_after(estimator.stamp_ns)
-        _, gyro, _ = self._imu.between(estimator.stamp_ns, estimator.stamp_ns)
-        rate = gyro[0] - self._live[m.GYRO_BIAS]
-        self._history.append(estimator.stamp_ns, self._live, rate)
-        for stamp in stamps:
-            self._run_live(int(stamp))
-
-    def _run_live(self, stamp_ns: int) -> None:
-        since = self._history.newest_ns
-        if stamp_ns <= since:
-            return
-        times, gyro, accel = self._imu.between(since, stamp_ns)
-        self._live = coast(self._live, times, gyro, accel)
-        rate = gyro[-1] - self._live[m.GYRO_BIAS]
-        self._history.append(stamp_ns, self._live, rate)
+        change_ns = self._clock.update(begin_ns, times, gyro - bias, newest_ns)
+        if change_ns:
+            upset = abs(change_ns) > self.config.clock.harmless * 1e9
+            self._watch.clocks_differ(change_ns, upset=upset)
+            estimator.clocks_set(change_ns, upset=upset)

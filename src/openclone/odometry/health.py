@@ -31,7 +31,7 @@ class HealthConfig:
     max_imu_age: float = 0.1
     max_position_sigma: float = 0.05
     max_turn_sigma: float = 0.02
-    min_agreement: float = 0.5
+    min_agreement: float = 0.7
     max_residual: float = 0.04
     max_surprise: float = 6.0
     degenerate_sigma: float = 0.05
@@ -60,7 +60,7 @@ class LioHealth(OdometryHealth):
         dropped_points: points with NaN or infinite coordinates.
         imu_gaps: pauses of the IMU above 50 ms.
         restarts: new starts after a jump of the clock.
-        clock_offset_ns: how late the IMU's stamps were found to be.
+        clock_offset_ns: what is added to the LiDAR's stamps to get those of the IMU.
         map_cells: size of the map.
     """
 

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from openclone.odometry import manifold as m
+from openclone.odometry.filter import coast
+from openclone.odometry.imu import ImuBuffer
 from openclone.odometry.manifold import exp_rotation, log_rotation
 
 WIDTH = 18
@@ -84,3 +87,34 @@ class PoseHistory:
             rot @ exp_rotation(turn * share),
             position + share * (following[9:12] - position),
         )
+
+
+class LivePoses(PoseHistory):
+    """Poses that the IMU carries on from the newest state of a slower odometry."""
+
+    def __init__(self, imu: ImuBuffer, capacity: int, max_ahead: float) -> None:
+        """Read from ``imu``, into which the owner puts the samples."""
+        super().__init__(capacity, max_ahead)
+        self._imu = imu
+        self._state = np.zeros(m.STATE_SIZE)
+
+    def restart(self, stamp_ns: int, state: np.ndarray) -> None:
+        """Go on from a flat ``state``, through the samples that are already there."""
+        self.cut(stamp_ns)
+        self._state, rate = state, np.zeros(3)
+        if len(self._imu):
+            _, gyro, _ = self._imu.between(stamp_ns, stamp_ns)
+            rate = gyro[0] - state[m.GYRO_BIAS]
+        self.append(stamp_ns, state, rate)
+        for stamp in self._imu.stamps_after(stamp_ns):
+            self.follow(int(stamp))
+
+    def follow(self, stamp_ns: int) -> None:
+        """Integrate up to a sample."""
+        since = self.newest_ns
+        if stamp_ns <= since:
+            return
+        times, gyro, accel = self._imu.between(since, stamp_ns)
+        self._state = coast(self._state, times, gyro, accel)
+        rate = gyro[-1] - self._state[m.GYRO_BIAS]
+        self.append(stamp_ns, self._state, rate)

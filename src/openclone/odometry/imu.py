@@ -88,7 +88,6 @@ class ImuBuffer:
     def clear(self) -> None:
         """Forget all samples."""
         self._first = self._end = 0
-        self.shift_ns = 0
         self._unit_norms: list[float] = []
         self._strange_ns: int | None = None
         self._strange_count = 0
@@ -109,17 +108,13 @@ class ImuBuffer:
         return int(self._stamps[self._first])
 
     def append(self, stamp_ns: Any, gyro: Any, accel: Any) -> int:
-        """Check and keep a sample; see `FastLio.add_imu`.
-
-        Returns its stamp on the clock of the LiDAR.
-        """
+        """Check and keep a sample; see `FastLio.add_imu`; returns its stamp."""
         where = "add_imu"
         stamp = check_stamp(stamp_ns, where)
         rate = check_vector(gyro, self._config.max_rate, "the gyro sample", where)
         felt = check_vector(
             accel, self._config.max_accel, "the acceleration sample", where
         )
-        stamp += self.shift_ns
         self._check_unit(felt)
         self._check_order(stamp)
         if self._end == len(self._stamps):
@@ -170,11 +165,6 @@ class ImuBuffer:
             where="add_imu",
             remedy="stamps are nanoseconds and must increase; the sample was left out",
         )
-
-    def shift(self, step_ns: int) -> None:
-        """Move the stamps of past and future samples by ``step_ns``."""
-        self.shift_ns += step_ns
-        self._stamps[: self._end] += step_ns
 
     def stamps_after(self, start_ns: int) -> np.ndarray:
         """Stamps ``(n,)`` of the samples after ``start_ns``."""

@@ -14,7 +14,7 @@ import numpy as np
 
 from openclone.odometry import manifold as m
 from openclone.odometry.filter import coast
-from openclone.odometry.history import PoseHistory
+from openclone.odometry.history import LivePoses
 from openclone.odometry.imu import (
     STANDARD_GRAVITY,
     ClockJump,
@@ -60,11 +60,12 @@ class ImuFollower:
         self._config = config or FollowerConfig()
         self._lock = threading.Lock()
         self._imu = ImuBuffer(self._config.stream)
-        self._history = PoseHistory(self._config.history, self._config.max_ahead)
+        self._history = LivePoses(
+            self._imu, self._config.history, self._config.max_ahead
+        )
         self._state = np.zeros(m.STATE_SIZE)
         self._state[m.ROT] = np.eye(3).ravel()
         self._state[m.GRAVITY] = (0.0, 0.0, -STANDARD_GRAVITY)
-        self._live = self._state
         self._stamp_ns: int | None = None
 
     def add_imu(self, stamp_ns: int, gyro: np.ndarray, accel: np.ndarray) -> None:
@@ -82,7 +83,7 @@ class ImuFollower:
                 self._stamp_ns = None
                 self._imu.append(stamp_ns, gyro, accel)
             if self._stamp_ns is not None:
-                self._run(stamp_ns)
+                self._history.follow(stamp_ns)
 
     def correct(self, stamp_ns: int, position: np.ndarray, quat: np.ndarray) -> None:
         """A pose of the IMU: (3,) metres, world (Z up), and (4,) wxyz."""
@@ -92,11 +93,7 @@ class ImuFollower:
             else:
                 self._pull(stamp_ns, position, quat)
             self._stamp_ns = stamp_ns
-            self._live = self._state
-            self._history.cut(stamp_ns)
-            self._history.append(stamp_ns, self._state, np.zeros(3))
-            for stamp in self._imu.stamps_after(stamp_ns):
-                self._run(int(stamp))
+            self._history.restart(stamp_ns, self._state)
 
     def pose_at(self, stamp_ns: int) -> tuple[np.ndarray, np.ndarray]:
         """Position (3,) and wxyz (4,); the origin before the first pose."""
@@ -132,13 +129,3 @@ class ImuFollower:
         state[m.GYRO_BIAS] -= config.drift / period * turn
         state[m.ROT] = (rot @ m.exp_rotation(config.turn * turn)).ravel()
         self._state = state
-
-    def _run(self, stamp_ns: int) -> None:
-        """Integrate the newest pose up to a reading."""
-        since = self._history.newest_ns
-        if stamp_ns <= since:
-            return
-        times, gyro, accel = self._imu.between(since, stamp_ns)
-        self._live = coast(self._live, times, gyro, accel)
-        rate = gyro[-1] - self._live[m.GYRO_BIAS]
-        self._history.append(stamp_ns, self._live, rate)

@@ -23,6 +23,9 @@ class StartConfig:
         max_gyro_std: rad/s.
         max_accel_std: m/s².
         max_speed: m/s; if the scans of the still period show more, it was none.
+        max_tilt: rad, by which the scans of the still period may turn the gravity that
+            the IMU felt: a sensor that slows down by 0.17 m/s in one second feels a
+            world that is tilted by one degree.
         accel_bias: m/s², standard deviation expected of the bias.
         gyro_bias: rad/s, standard deviation left after averaging.
         velocity: m/s, standard deviation.
@@ -35,6 +38,7 @@ class StartConfig:
     max_gyro_std: float = 0.15
     max_accel_std: float = 1.5
     max_speed: float = 0.15
+    max_tilt: float = 0.008
     accel_bias: float = 0.05
     gyro_bias: float = 1e-3
     velocity: float = 0.05

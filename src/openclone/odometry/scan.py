@@ -58,6 +58,15 @@ class Scan:
     start_ns: int
     end_ns: int
 
+    def moved(self, step_ns: int) -> Scan:
+        """The same scan with its stamps moved."""
+        return Scan(
+            self.points,
+            self.stamps_ns + step_ns,
+            self.start_ns + step_ns,
+            self.end_ns + step_ns,
+        )
+
 
 @dataclass(frozen=True)
 class Thinned:

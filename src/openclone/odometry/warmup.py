@@ -31,5 +31,6 @@ def warm_up(config: FastLioConfig | None = None) -> None:
             lio.add_scan(points, np.linspace(start + 1, stamp, 3000).astype(np.int64))
     lio.pose_at(14 * SCAN_SAMPLES * PERIOD_NS - PERIOD_NS // 2)
     # A sound stream never needs this one; it must not be compiled in mid-fault.
-    times, none = np.arange(3) * 0.1, np.zeros(1)
-    disagreement(times, np.zeros((3, 3)), times[:2], np.zeros((2, 3, 3)), none)
+    times, first, none = np.arange(3) * 0.1, np.zeros(1, np.int64), np.zeros(1)
+    seen = np.zeros((2, 3, 3))
+    disagreement(times, np.zeros((3, 3)), times[:2], seen, first, none)

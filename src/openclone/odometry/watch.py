@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from openclone.odometry import manifold as m
-from openclone.odometry.estimator import ScanReport, Verdict
 from openclone.odometry.health import HealthConfig, LioHealth
+from openclone.odometry.scan_report import ScanReport, Verdict
 
 WALK_ACCEL = 5.0
 """m/s², what a walker's head may do unseen."""
@@ -20,11 +20,12 @@ class Watch:
     def __init__(self, config: HealthConfig) -> None:
         """Nothing has happened yet."""
         self._config = config
-        self.refused = self.restarts = self.clock_offset_ns = 0
+        self.refused = self.restarts = 0
         self._scans = self._skipped = self._dropped_points = 0
         self._begin()
 
     def _begin(self) -> None:
+        self.clock_offset_ns = 0
         self.scan_ns: int | None = None
         self._used_ns: int | None = None
         self._report: ScanReport | None = None
@@ -73,11 +74,20 @@ class Watch:
         else:
             self._doubts = max(0, self._doubts - 1)
 
-    def clocks_differ(self, late: float) -> None:
-        """The IMU's stamps turned out to be ``late`` seconds behind the LiDAR's."""
-        self._doubts = self._config.recovery_scans
-        self._reason = f"the clocks of LiDAR and IMU differ by {late * 1e3:.0f} ms"
-        self.clock_offset_ns += round(late * 1e9)
+    def clocks_differ(self, step_ns: int, *, upset: bool) -> None:
+        """The LiDAR's stamps, the past ones too, are corrected by ``step_ns``.
+
+        ``upset``: so much that the poses so far are not to be trusted.
+        """
+        if upset:
+            late = f"{step_ns * 1e-6:.0f} ms"
+            self._doubts = self._config.recovery_scans
+            self._reason = f"the clocks of LiDAR and IMU differ by {late}"
+        self.clock_offset_ns += step_ns
+        if self.scan_ns is not None:
+            self.scan_ns += step_ns
+        if self._used_ns is not None:
+            self._used_ns += step_ns
 
     def health(
         self,
