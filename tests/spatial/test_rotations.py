@@ -106,6 +106,18 @@ def test_tiny_and_zero_rotations_stay_finite():
     assert np.isfinite(rot.normalize(np.zeros(4))).all()
 
 
+@pytest.mark.parametrize("turn", [0.0, 1e-7, 1e-3, 0.5, 3.0, math.pi - 1e-7, math.pi])
+def test_angle_between_is_the_angle_of_the_turn(turn):
+    axis = np.array([2.0, -1.0, 2.0]) / 3.0
+    start = rot.from_axis_angle(np.array([0.0, 0.6, 0.8]), 1.3)
+    end = rot.multiply(start, rot.from_axis_angle(axis, turn))
+    for there in (end, -end):
+        assert rot.angle_between(start, there) == pytest.approx(turn, abs=1e-14)
+    # Single precision knows a turn to half a millionth of a radian.
+    pair = (torch.tensor(q, dtype=torch.float32) for q in (start, end))
+    assert float(rot.angle_between(*pair)) == pytest.approx(turn, abs=5e-7)
+
+
 @given(quats, quats)
 def test_angle_between_is_a_metric(a, b):
     angle = rot.angle_between(a, b)

@@ -9,6 +9,9 @@ from openclone.robot.model import SensorLayout
 from openclone.spatial import rotations
 from openclone.spatial.rotations import Array
 
+_POINTS = slice(g1.TORSO, None, g1.WRISTS[0] - g1.TORSO)
+"""Torso and wrists among the key bodies: picking by a list takes ten times as long."""
+
 
 @dataclass(frozen=True)
 class RobotState:
@@ -65,8 +68,7 @@ def key_point_poses(body_position: Array, body_quat: Array) -> tuple[Array, Arra
     fixed in the torso and the wrists.
     """
     xp = rotations.namespace(body_position)
-    bodies = [g1.TORSO, *g1.WRISTS]
-    position, quat = body_position[..., bodies, :], body_quat[..., bodies, :]
+    position, quat = body_position[..., _POINTS, :], body_quat[..., _POINTS, :]
     offset = xp.zeros_like(position)
     offset[..., 0, 2] = g1.HEAD_OFFSET[2]
     offset[..., 1:, 0] = g1.HAND_OFFSET[0]
@@ -75,8 +77,7 @@ def key_point_poses(body_position: Array, body_quat: Array) -> tuple[Array, Arra
 
 def key_point_velocities(state: RobotState) -> Array:
     """Linear velocities of head and hands, ``(..., 3, 3)``, m/s, world."""
-    bodies = [g1.TORSO, *g1.WRISTS]
     points, _ = key_point_poses(state.body_position, state.body_quat)
-    arm = points - state.body_position[..., bodies, :]
-    spin = state.body_angular_velocity[..., bodies, :]
-    return state.body_velocity[..., bodies, :] + rotations.cross(spin, arm)
+    arm = points - state.body_position[..., _POINTS, :]
+    spin = state.body_angular_velocity[..., _POINTS, :]
+    return state.body_velocity[..., _POINTS, :] + rotations.cross(spin, arm)

@@ -126,11 +126,13 @@ def from_rotation_vector(vector: Array) -> Array:
 
 
 def angle_between(a: Array, b: Array) -> Array:
-    """Rotation angle from a to b in radians, ``(..., 4) -> (...)``, in [0, pi]."""
+    """Rotation angle from a to b in radians, ``(..., 4) -> (...)``, in [0, pi].
+
+    Two unit quaternions at an angle of t lie 2 sin(t / 4) apart.
+    """
     xp = namespace(a)
-    difference = multiply(conjugate(a), b)
-    length = norm(difference[..., 1:])[..., 0]
-    return 2.0 * xp.arctan2(length, xp.abs(difference[..., 0]))
+    apart, across = norm(a - b)[..., 0], norm(a + b)[..., 0]
+    return 4.0 * xp.arctan2(xp.minimum(apart, across), xp.maximum(apart, across))
 
 
 def slerp(a: Array, b: Array, fraction: Array) -> Array:

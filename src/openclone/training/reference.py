@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import mujoco
 import numpy as np
@@ -11,6 +12,7 @@ import torch
 from scipy.ndimage import gaussian_filter1d
 
 from openclone.motion.clip import Clip
+from openclone.policy.teacher import landmarks
 from openclone.robot import g1
 from openclone.robot.model import CONTROL_PERIOD, SensorLayout
 from openclone.robot.state import RobotState, read_state
@@ -85,6 +87,11 @@ class ReferenceMotions:
             last=self.last.to(device),
             category=self.category.to(device),
         )
+
+    @cached_property
+    def landmarks(self) -> torch.Tensor:
+        """(F, 5, 3): what a preview shows of every frame, see `policy.teacher`."""
+        return landmarks(self.frames)
 
     def summary(self) -> str:
         """How much motion there is, in words."""

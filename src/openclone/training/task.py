@@ -166,7 +166,8 @@ class TrackingTask:
         if not self.config.preview:
             return seen
         moments = torch.minimum(following[:, None] + self._preview, last[:, None])
-        later = self.reference.at(moments.flatten())
+        later = self.reference.landmarks.index_select(0, moments.flatten())
+        later = later.unflatten(0, moments.shape)
         return torch.cat((seen, preview(self._state, later)), 1)
 
     # Stepping ------------------------------------------------------------------------
