@@ -9,17 +9,19 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
 from openclone.errors import InputError
 from openclone.evaluation.operator import calibration_of_operator, operator_of
 from openclone.motion.clip import Clip, ClipInfo, clip_from_qpos
+from openclone.motion.sources.choreography import FPS
+from openclone.motion.sources.gliding import Laps, carried_body
 from openclone.odometry.noise import OdometryNoiseConfig
 from openclone.policy.bundle import Bundle
 from openclone.robot.kinematics import Kinematics
-from openclone.robot.model import CONTROL_PERIOD, standing_qpos
+from openclone.robot.model import CONTROL_PERIOD
 from openclone.spatial import rotations
 from openclone.teleop.loop import LoopConfig
 from openclone.teleop.messages import Subscriber
@@ -31,14 +33,8 @@ from openclone.teleop.session import (
     run_teleop,
 )
 
-_FPS = 50.0
-_SPEED = 0.35
-_LEG_M = 2.5
-_EASE_S = 0.8
-_PAUSE_S = 1.5
-_WALKING_SINK = 0.02
-_LAP_RADIUS = 2.2
-"""Metres; the packaged student falls in sharper turns."""
+_PATROL = Laps(speed=0.35, radius=2.2, leg=2.5, ease_s=0.8, pause_s=1.5, sink=0.02)
+"""The radius: the packaged student falls in sharper turns."""
 _STRAIGHT_WORLDS = ("corridor",)
 
 
@@ -93,32 +89,16 @@ class OdometryReport:
         return asdict(self)
 
 
-def patrol(seconds: float, *, radius: float = _LAP_RADIUS) -> Clip:
+def patrol(seconds: float, *, radius: float = _PATROL.radius) -> Clip:
     """A walk with stops, as an operator's head and hands show it: legs do not move.
 
     Args:
         seconds: how long.
         radius: metres, of laps to the left; infinite: straight ahead.
     """
-    count = round(seconds * _FPS) + 1
-    leg_s = _LEG_M / _SPEED + _EASE_S
-    phase = np.arange(count) / _FPS % (leg_s + _PAUSE_S) - _PAUSE_S
-    # Speed rises and falls evenly at both ends of a leg.
-    share = np.clip(np.minimum(phase, leg_s - phase) / _EASE_S, 0.0, 1.0)
-    share = share * share * (3.0 - 2.0 * share)
-    way = np.cumsum(_SPEED * share) / _FPS
-    angle = way / radius
-    qpos = np.tile(standing_qpos(), (count, 1))
-    if math.isinf(radius):
-        qpos[:, 0] = way
-    else:
-        qpos[:, 0] = radius * np.sin(angle)
-        qpos[:, 1] = radius * (1.0 - np.cos(angle))
-    # Walking people, and this robot, stand lower than standing ones.
-    qpos[:, 2] -= _WALKING_SINK * share
-    qpos[:, 3:7] = rotations.from_yaw(angle)
-    info = ClipInfo("patrol", "forward", "openclone", "Apache-2.0", _FPS)
-    return clip_from_qpos(info, qpos)
+    info = ClipInfo("patrol", "forward", "openclone", "Apache-2.0", FPS)
+    laps = replace(_PATROL, radius=radius)
+    return clip_from_qpos(info, carried_body(seconds, laps))
 
 
 def evaluate_odometry(
@@ -151,7 +131,7 @@ def evaluate_odometry(
             f"a walk of {seconds:.0f} s would leave the corridor",
             remedy="use at most 150 s, or another world",
         )
-    clip = patrol(seconds, radius=math.inf if straight else _LAP_RADIUS)
+    clip = patrol(seconds, radius=math.inf if straight else _PATROL.radius)
     began = time.process_time()
     result = run_teleop(
         operator_of(clip, Kinematics()),
