@@ -6,8 +6,17 @@ One constant (`MatchConfig.independence`) was chosen on seeds below 50, so the d
 seeds are others.
 
 Each run draws biases, sensor noise and path from its seed. The filter is told the true
-noise densities of the simulated IMU; everything else is as shipped. For a consistent
-filter, the normalized squared error per dimension averages 1.
+noise of the simulated IMU: its white noise, and that its biases are constant.
+Everything else is as shipped. For a consistent filter, the normalized squared error per
+dimension averages 1.
+
+On the 50 default seeds the total is 1.02 (95 %: 0.90 to 1.10). Rotation (0.66),
+velocity (0.62) and accelerometer bias (0.68) lie below their bands of 0.77 to 1.23:
+there the filter claims less than it knows. One share of independent points stands for
+the error of the map in all directions, and position (1.11) is what it must not
+overstate; and the start counts on a sensor that sways, which this one does not. Telling
+the start that it does not sway makes the gyroscope's bias overconfident (1.9) and was
+not done.
 """
 
 from __future__ import annotations

@@ -96,12 +96,14 @@ def run(
 
 
 def told_noise() -> FastLioConfig:
-    """The default, but told the simulated IMU's noise densities."""
+    """The default, but told the simulated IMU's noise: white, on constant biases."""
     sensors = box_room.Sensors()
     root_hz = np.sqrt(sensors.imu_hz)
     noise = ImuNoise(
         gyro=sensors.gyro_sigma / root_hz,
         accel=sensors.accel_sigma / root_hz,
+        gyro_walk=0.0,
+        accel_walk=0.0,
         roughness=0.0,
     )
     return FastLioConfig(estimator=EstimatorConfig(imu=noise))
