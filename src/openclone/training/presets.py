@@ -213,6 +213,7 @@ _PAPER_TASK = replace(
     limits=TerminationLimits(math.inf, math.inf, math.inf, 1.5),
     lead_frames=0,
     preview=(),
+    feedforward=False,
 )
 _SMOKE_TASK = TaskConfig(num_envs=16, episode_steps=50)
 _SMOKE_PPO = PpoConfig(steps=4, epochs=1, minibatches=1, hidden=(32, 32))

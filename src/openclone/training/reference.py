@@ -16,6 +16,7 @@ from openclone.policy.teacher import landmarks
 from openclone.robot import g1
 from openclone.robot.model import CONTROL_PERIOD, SensorLayout
 from openclone.robot.state import RobotState, read_state
+from openclone.training.feedforward import feedforward
 
 _FPS = 1.0 / CONTROL_PERIOD
 _SMOOTHING_FRAMES = 1.5
@@ -38,6 +39,7 @@ class ReferenceMotions:
 
     Attributes:
         qpos, qvel: (F, 36) and (F, 35), MuJoCo coordinates, on the host.
+        feedforward: (F, 29), radians, of `training.feedforward`.
         frames: the robot's state in every frame, tensors (F, ...), views of ``table``;
             torque and foot force are zero.
         table: (F, d), all of it in one row per frame.
@@ -50,6 +52,7 @@ class ReferenceMotions:
 
     qpos: np.ndarray
     qvel: np.ndarray
+    feedforward: torch.Tensor
     frames: RobotState
     table: torch.Tensor
     clip: torch.Tensor
@@ -83,6 +86,7 @@ class ReferenceMotions:
             self,
             frames=_as_state(table),
             table=table,
+            feedforward=self.feedforward.to(device),
             clip=self.clip.to(device),
             last=self.last.to(device),
             category=self.category.to(device),
@@ -137,6 +141,7 @@ def build_reference(clips: list[Clip], model: mujoco.MjModel) -> ReferenceMotion
     layout = SensorLayout.of(model)
     data = mujoco.MjData(model)
     qpos_parts, qvel_parts, sensor_parts, lengths = [], [], [], []
+    offset_parts = []
     for clip in clips:
         qpos = clip.resampled(_FPS).qpos
         qvel = generalized_velocities(model, qpos)
@@ -152,6 +157,7 @@ def build_reference(clips: list[Clip], model: mujoco.MjModel) -> ReferenceMotion
         sensors[:, layout.foot_force] = 0.0
         qpos_parts.append(qpos)
         qvel_parts.append(qvel)
+        offset_parts.append(feedforward(model, qpos, qvel))
         sensor_parts.append(sensors)
         lengths.append(len(qpos))
 
@@ -169,6 +175,7 @@ def build_reference(clips: list[Clip], model: mujoco.MjModel) -> ReferenceMotion
     return ReferenceMotions(
         qpos=np.concatenate(qpos_parts),
         qvel=np.concatenate(qvel_parts),
+        feedforward=tensor(offset_parts),
         frames=_as_state(table),
         table=table,
         clip=torch.tensor(clip_index),

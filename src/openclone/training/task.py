@@ -148,8 +148,16 @@ class TrackingTask:
         return self._looked_up
 
     def residual_to_target(self, action: torch.Tensor) -> torch.Tensor:
-        """Joint targets of the teacher's action: an offset to the reference angles."""
-        return self.next_reference().joint_angles + self.action_scale * action
+        """Joint targets of the teacher's action: an offset to `base_targets`."""
+        return self.base_targets() + self.action_scale * action
+
+    def base_targets(self) -> torch.Tensor:
+        """(n, 29): reference angles, with feed-forward if the task has it."""
+        angles = self.next_reference().joint_angles
+        if not self.config.feedforward:
+            return angles
+        ahead = self.reference.feedforward.index_select(0, self.next_frame())
+        return angles + ahead
 
     def teacher_observation(self) -> torch.Tensor:
         """(n, d): the privileged observation of section 3.1, and the preview."""
@@ -181,7 +189,7 @@ class TrackingTask:
         """
         following, reference = self.next_frame(), self.next_reference()
         previous_action = self.action
-        self.action = (targets - reference.joint_angles) / self.action_scale
+        self.action = (targets - self.base_targets()) / self.action_scale
         before = self._state
         self._push()
         self.physics.step(self._path(targets))

@@ -52,6 +52,8 @@ class TaskConfig:
             velocity follows it at a distance (0.18 s measured); this takes it away.
         preview: control steps ahead at which the teacher also sees the reference; the
             paper's teacher sees the next step alone.
+        feedforward: the teacher's action is an offset to joint targets that already
+            give the reference's torques, instead of to the reference's angles.
         randomization: the other rows of Table A2.
     """
 
@@ -68,6 +70,7 @@ class TaskConfig:
     push_interval: float = 5.0
     push_speed: float = 0.5
     lead_frames: int = 10
+    feedforward: bool = True
     preview: tuple[int, ...] = (5, 10, 20, 40)
     born_by_area: bool = True
     randomization: RandomizationConfig = field(default_factory=RandomizationConfig)

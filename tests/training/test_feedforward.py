@@ -1,0 +1,80 @@
+import mujoco
+import numpy as np
+import torch
+
+from openclone.motion.sources.synthetic import generate
+from openclone.robot import g1
+from openclone.robot.model import standing_qpos
+from openclone.training.feedforward import feedforward
+from openclone.training.reference import build_reference, generalized_velocities
+
+
+def still(frames: int, height: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    qpos = np.tile(standing_qpos(), (frames, 1))
+    qpos[:, 2] += height
+    return qpos, np.zeros((frames, 35))
+
+
+def test_nothing_is_added_in_free_fall(model):
+    """A body that falls freely at rest needs no torque."""
+    qpos, qvel = still(50, height=2.0)
+    qvel[:, 2] = -9.81 * np.arange(50) / 50
+    np.testing.assert_allclose(feedforward(model, qpos, qvel), 0.0, atol=1e-3)
+
+
+def test_a_standing_robot_does_not_sink(model):
+    """Simulated with contacts: the spring is bent beforehand by what it will carry."""
+    qpos, qvel = still(5)
+    offsets = feedforward(model, qpos, qvel)[2]
+    data = mujoco.MjData(model)
+
+    def sunk(gain: float) -> float:
+        data.qpos[:], data.qvel[:] = qpos[0], 0.0
+        data.ctrl[:] = qpos[0, 7:] + gain * offsets
+        mujoco.mj_step(model, data, 60)
+        return float(np.abs(data.qpos[7:19] - qpos[0, 7:19]).max())
+
+    assert sunk(0.0) > 0.03
+    assert sunk(1.0) < 0.3 * sunk(0.0)
+
+
+def test_targets_alone_follow_a_walk_more_closely(model):
+    """Open loop, without any policy: a fair test of the physics."""
+    clip = generate("forward", np.random.default_rng(0))
+    reference = build_reference([clip], model)
+    data = mujoco.MjData(model)
+
+    def error(gain: float) -> float:
+        errors = []
+        for first in range(50, 250, 40):
+            data.qpos[:], data.qvel[:] = reference.qpos[first], reference.qvel[first]
+            for frame in range(first + 1, first + 11):
+                ahead = gain * reference.feedforward[frame].numpy()
+                data.ctrl[:] = reference.qpos[frame, 7:] + ahead
+                mujoco.mj_step(model, data, 4)
+            legs = slice(7, 19)
+            errors.append(data.qpos[legs] - reference.qpos[first + 10, legs])
+        return float(np.sqrt(np.mean(np.square(errors))))
+
+    assert error(1.0) < 0.6 * error(0.0)
+
+
+def test_the_teachers_zero_is_the_feedforward(make_task, reference):
+    plain, ahead = (make_task(2, feedforward=f) for f in (False, True))
+    for task in (plain, ahead):
+        task.jump_to(torch.tensor([3, 7]))
+    nothing = torch.zeros(2, 29)
+    wanted = reference.feedforward[[4, 8]]
+    got = ahead.residual_to_target(nothing) - plain.residual_to_target(nothing)
+    torch.testing.assert_close(got, wanted)
+    assert float(wanted.abs().max()) > 0.05
+    ahead.step(ahead.residual_to_target(torch.full((2, 29), 0.5)))
+    torch.testing.assert_close(ahead.action, torch.full((2, 29), 0.5))
+
+
+def test_every_frame_has_finite_targets_within_the_motors_reach(model):
+    qpos, _ = still(30)
+    qpos[15:, 7 + g1.joint_index("left_knee_joint")] += 1.0  # a jump in the data
+    offsets = feedforward(model, qpos, generalized_velocities(model, qpos))
+    assert np.isfinite(offsets).all()
+    assert (np.abs(offsets) <= g1.MAX_TORQUE / g1.KP + 1e-9).all()
