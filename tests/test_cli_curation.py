@@ -11,6 +11,8 @@ import pytest
 from openclone import cli
 from openclone.errors import InputError
 from openclone.motion.clip import ClipInfo, clip_from_qpos, save_clip
+from openclone.motion.sources import synthetic
+from openclone.motion.sources.gliding import Laps, gliding_laps
 from openclone.robot.model import standing_qpos
 
 
@@ -36,6 +38,39 @@ def test_build(clips: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     assert (out / "report.html").is_file()
     assert (out / "train" / "good.npz").is_file()
     assert json.loads(figures.read_text())["accepted"] == 1
+
+
+def test_build_with_commands_and_enrichment(
+    clips: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Gliding laps pass the gate and are for training; a long stand is also lowered."""
+    laps = gliding_laps("synthetic/gliding_00", Laps(0.5, 2.0, 1.0, 0.5, 0.5, 0.0), 4)
+    save_clip(laps, clips / "gliding.npz")
+    still = ClipInfo("still", "stand", "still.bvh", "CC0", 50.0)
+    qpos = np.tile(standing_qpos(), (161, 1))
+    save_clip(clip_from_qpos(still, qpos), clips / "still.npz")
+    cli.run(["motions", "inspect", str(clips / "gliding.npz"), "--no-view"])
+    assert "gate      passed" in capsys.readouterr().out
+    out = tmp_path / "out"
+    words = ["motions", "build", str(clips), "--out", str(out), "--no-pictures"]
+    cli.run([*words, "--enrich", "--workers", "1"])
+    names = {path.stem for path in (out / "train").glob("*.npz")}
+    assert {"still~head075", "still~head095", "synthetic__gliding_00"} <= names
+    assert not {name for name in names if name.startswith(("good~", "synthetic__gli~"))}
+    settings = json.loads((out / "build.json").read_text())
+    assert settings["config"]["enrichment"]["heads_m"] == [0.65, 0.75, 0.85, 0.95]
+
+
+def test_synthesize_gliding_laps(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(synthetic, "default_set", lambda *_, **__: [])
+    words = ["motions", "synthesize", "--out", str(tmp_path), "--minutes", "0.1"]
+    cli.run([*words, "--gliding", "2"])
+    found = sorted(path.stem for path in tmp_path.glob("*gliding*.npz"))
+    assert found == ["synthetic__gliding_00", "synthetic__gliding_01"]
+    with pytest.raises(InputError, match="--gliding is -1"):
+        cli.run([*words, "--gliding", "-1"])
 
 
 def test_inspect_names_the_gate(

@@ -172,7 +172,8 @@ def work(job: Job) -> Outcome:
         if not job.ready:
             save_clip(clip, job.result.with_suffix(".npz"))
     except InputError as error:
-        return Outcome(job, None, str(error))
+        # A refused edit names the motion, as whoever reports it will do.
+        return Outcome(job, None, str(error).removeprefix(f"{job.info.name}: "))
     except (ArithmeticError, ValueError) as error:
         # One odd recording must not end the build of a thousand.
         return Outcome(job, None, f"{job.path}: cannot be retargeted ({error})")
