@@ -99,3 +99,4 @@ def test_an_offset_that_would_need_future_samples_is_not_looked_for() -> None:
     """The gyroscope ends 30 ms after the newest scan's stamp: 50 ms cannot show."""
     assert find(0.05, ahead_s=0.03) <= 0.03
     assert find(0.05, ahead_s=0.08) == pytest.approx(0.05, abs=0.002)
+    assert find(0.05, ahead_s=-0.3) == 0.0

@@ -43,11 +43,11 @@ class ClockConfig:
     turns: int = 7
     min_turns: int = 3
     min_late: int = 2
-    noise: float = 0.002
+    noise: float = 0.0015
     share: float = 0.25
-    min_offset: float = 0.002
+    min_offset: float = 0.001
     harmless: float = 0.005
-    max_offset: float = 0.1
+    max_offset: float = 0.2
     step: float = 0.004
     max_gap: float = 0.03
     max_age: float = 1.5
@@ -206,6 +206,8 @@ class ClockOffset:
         ahead = (newest_ns - self._before_ns - self._turns[-1].stamp_ns) * 1e-9
         # The IMU's own stamp of a moment is the LiDAR's plus the lateness.
         offsets = self._offsets[self._offsets <= ahead]
+        if len(offsets) == 0:
+            return None
         costs = disagreement(times, gyro, middles, seen, firsts, offsets)
         first, best = np.unravel_index(int(np.argmin(costs)), costs.shape)
         seconds, cost = lowest(offsets, costs[first], int(best))

@@ -69,7 +69,7 @@ class UpdateConfig:
     max_surprise: float = 8.0
     settle: int = 3
     max_unmapped: int = 20
-    max_mismatch: float = 0.004
+    max_mismatch: float = 0.005
 
 
 @dataclass(frozen=True)

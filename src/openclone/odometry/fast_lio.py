@@ -173,7 +173,7 @@ class FastLio:
             points: (N, 3), metres, LiDAR frame as measured (not undistorted). Zeros
                 (no return), NaN and points out of range are left out.
             stamps_ns: (N,), whole nanoseconds, in any order within the scan; on the
-                clock of `add_imu` up to 0.1 s, which is found while the sensor turns.
+                clock of `add_imu` up to 0.2 s, which is found while the sensor turns.
 
         Returns:
             The state at the scan's newest point, on the IMU's clock; by the IMU alone
