@@ -45,8 +45,9 @@ class StartFrames:
         self._share, self._generator = share, generator
         clip, self._last = reference.clip.cpu(), reference.last.cpu()
         self._first = torch.searchsorted(clip, clip)
-        recorded = torch.tensor(reference.recorded)[clip]
-        self._place = (torch.arange(bins) * _BIN).clamp(max=len(clip) - 1)
+        recorded = torch.tensor(reference.recorded, device=clip.device)[clip]
+        first = torch.arange(bins, device=clip.device) * _BIN
+        self._place = first.clamp(max=len(clip) - 1)
         weight = torch.where(recorded, recorded_weight, 1.0)[self._place]
         self._even = weight / weight.sum()
 
