@@ -373,6 +373,9 @@ def test_a_teacher_with_another_preview_is_refused(trained, make_clip, tmp_path)
     blind = replace(STUDENT, task=replace(STUDENT.task, preview=()))
     with pytest.raises(InputError, match="previews 4 moments, the task 0"):
         train_student([make_clip()], trained[1], blind, tmp_path, threads=1)
+    bare = replace(TEACHER, task=replace(TEACHER.task, feedforward=False))
+    with pytest.raises(InputError, match="offsets to other joint targets"):
+        train_teacher([make_clip()], bare, tmp_path, start=trained[1], threads=1)
 
 
 def test_one_command_trains_teacher_and_student(

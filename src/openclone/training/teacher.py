@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import torch
 from rsl_rl.algorithms import PPO
@@ -95,6 +96,7 @@ class TeacherTrainer:
         content = load_checkpoint(path)
         with fitting(path):
             resume_ppo(self.ppo, content["ppo"])
+            _check_agrees(content, self.preset.task, path)
             if self.style is not None and content.get("amp"):
                 self.style.load_state_dict(content["amp"])
             # The failure rates belong to the clips they were counted on.
@@ -112,6 +114,7 @@ class TeacherTrainer:
             "ppo": self.ppo.save(),
             "hidden": list(self.preset.ppo.hidden),
             "preview": len(self.preset.task.preview),
+            "feedforward": self.preset.task.feedforward,
             "steps": trained.steps,
             "minutes": trained.minutes,
             "iterations": trained.iterations,
@@ -199,7 +202,7 @@ def load_teacher(path: Path, task: TaskConfig | None = None) -> MLPModel:
         task: where it will look; None: anywhere.
 
     Raises:
-        InputError: not a teacher's checkpoint, or it was trained with another preview.
+        InputError: not a teacher's checkpoint, or one of another kind of task.
     """
     return _load(path, "actor_state_dict", GROUP, g1.NUM_JOINTS, task).eval()
 
@@ -221,10 +224,23 @@ def _load(
         )
         model = mlp_model(example, group, outputs, config)
         model.load_state_dict(content["ppo"][part])
-    if task is not None and moments != len(task.preview):
+    if task is not None:
+        _check_agrees(content, task, path)
+    return model
+
+
+def _check_agrees(content: dict[str, Any], task: TaskConfig, path: Path) -> None:
+    """Refuse a teacher that saw or did something else than it would in ``task``."""
+    moments, wanted = content.get("preview", 0), len(task.preview)
+    if moments != wanted:
         raise InputError(
-            f"the teacher previews {moments} moments, the task {len(task.preview)}",
+            f"the teacher previews {moments} moments, the task {wanted}",
             where=str(path),
             remedy="give a teacher trained with the same `preview` as the student's",
         )
-    return model
+    if content.get("feedforward", False) != task.feedforward:
+        raise InputError(
+            "the teacher's actions are offsets to other joint targets than the task's",
+            where=str(path),
+            remedy="give a teacher trained with the same `feedforward`",
+        )
