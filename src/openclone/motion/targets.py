@@ -14,6 +14,7 @@ from openclone.motion.contacts import (
     smooth,
 )
 from openclone.motion.footing import foot_targets
+from openclone.motion.masses import Arm, centre_of_limbs
 from openclone.motion.proportions import (
     ANKLE_HEIGHT,
     FOREARM,
@@ -83,7 +84,7 @@ def make_targets(motion: HumanMotion, config: RetargetConfig) -> Targets:
     pelvis += _fit_squat(pelvis, pelvis_quat, feet, config)
     arms = _arms(motion, torso_quat, sigma)
     if config.most_shift > 0:
-        com = _centre_of_mass(pelvis, pelvis_quat, torso_quat, feet, arms)
+        com = centre_of_limbs(pelvis, pelvis_quat, torso_quat, feet, arms)
         soles = [_sole_corners(*foot) for foot in feet]
         pelvis[:, :2] += _COM_GAIN * balancing_shift(
             com, np.stack(soles, axis=1), contact, FPS, config.most_shift
@@ -102,10 +103,7 @@ def make_targets(motion: HumanMotion, config: RetargetConfig) -> Targets:
     return Targets(position, quat, contact)
 
 
-_Arm = tuple[np.ndarray, np.ndarray, np.ndarray]
-
-
-def _arms(motion: HumanMotion, torso_quat: np.ndarray, sigma: float) -> list[_Arm]:
+def _arms(motion: HumanMotion, torso_quat: np.ndarray, sigma: float) -> list[Arm]:
     """Shoulder, elbow and wrist (T, 3) of both arms from the torso, metres, world."""
     arms = []
     for index, side in enumerate(SIDES):
@@ -118,39 +116,8 @@ def _arms(motion: HumanMotion, torso_quat: np.ndarray, sigma: float) -> list[_Ar
     return arms
 
 
-_MASSES = {"pelvis": 3.8, "torso": 8.1, "upper arm": 2.1, "forearm": 1.4, "leg": 7.2}
-"""Kilograms, of the G1's model; arms and legs one side."""
-_PELVIS_CENTRE, _TORSO_CENTRE = (0.0, 0.0, -0.076), (0.0, 0.0, 0.18)
-"""Metres; centres of mass in the frames of the links."""
-_LEG_CENTRE = 0.41
-"""The leg's centre of mass, as a share of the way from hip to ankle."""
-_COM_GAIN = 1.2
+_COM_GAIN = 1.4
 """Metres of pelvis per metre of centre of mass: the feet stay where they are."""
-
-
-def _centre_of_mass(
-    pelvis: np.ndarray,
-    pelvis_quat: np.ndarray,
-    torso_quat: np.ndarray,
-    feet: list[tuple[np.ndarray, np.ndarray]],
-    arms: list[_Arm],
-) -> np.ndarray:
-    """(T, 3), metres, world, before any inverse kinematics."""
-    torso = pelvis + rotations.rotate(pelvis_quat, TORSO)
-    parts = [
-        ("pelvis", pelvis + rotations.rotate(pelvis_quat, np.array(_PELVIS_CENTRE))),
-        ("torso", torso + rotations.rotate(torso_quat, np.array(_TORSO_CENTRE))),
-    ]
-    for sign, (ankle, _), (shoulder, elbow, wrist) in zip(
-        (1.0, -1.0), feet, arms, strict=True
-    ):
-        offset = np.array([0.0, sign * HIP_HALF_WIDTH, HIP_HEIGHT])
-        hip = pelvis + rotations.rotate(pelvis_quat, offset)
-        parts.append(("leg", hip + _LEG_CENTRE * (ankle - hip)))
-        parts.append(("upper arm", torso + 0.5 * (shoulder + elbow)))
-        parts.append(("forearm", torso + 0.5 * (elbow + wrist)))
-    total = sum(_MASSES[name] for name, _ in parts)
-    return np.sum([_MASSES[name] * place for name, place in parts], axis=0) / total
 
 
 def _sole_corners(position: np.ndarray, quat: np.ndarray) -> np.ndarray:
