@@ -35,11 +35,17 @@ def wait_passively() -> None:
     os.environ.setdefault("GOMP_SPINCOUNT", "0")
 
 
+_GLIDING = 4
+"""Laps of 45 s among 10 minutes of synthetic motions."""
+
+
 def _training_clips(motions: tuple[Path, ...]) -> list[Clip]:
     if motions:
         return load_clips(motions, "train", "", apart=True)
+    from openclone.motion.sources.gliding import gliding_set
+
     print("no --motions: training on synthetic motions")
-    return synthetic_clips(0, 10.0)
+    return synthetic_clips(0, 10.0) + gliding_set(0, _GLIDING)
 
 
 def _narrowed(data: DataChoice, categories: str) -> DataChoice:

@@ -46,6 +46,14 @@ def _left_out(motions: Path, split: str, categories: str, run: set[str]) -> dict
     }
 
 
+def _motions(folder: Path, split: str, categories: str) -> list[Clip]:
+    """Clips with a whole body to compare with; gliding laps are commands alone."""
+    from openclone.motion.sources.gliding import is_command
+
+    clips = load_clips((folder,), split, categories)
+    return [clip for clip in clips if not is_command(clip.info)]
+
+
 def _over_seeds(
     clips: list[Clip], bundle: Bundle, noise: bool, seed: int, seeds: int
 ) -> TrackingReport:
@@ -107,7 +115,7 @@ def evaluate_tracking(
     if motions is None:
         clips = synthetic_clips(_HELD_OUT_SEED, 2.0, categories)
     else:
-        clips = load_clips((motions,), split, categories)
+        clips = _motions(motions, split, categories)
     left_out = {}
     if motions is not None:
         names = {clip.info.name for clip in clips}

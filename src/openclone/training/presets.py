@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
 from openclone.errors import InputError
-from openclone.motion.clip import Clip
+from openclone.motion.clip import CATEGORIES, Clip
 from openclone.odometry.faults import REAL, OdometryFaultsConfig
 from openclone.odometry.noise import OdometryNoiseConfig
 from openclone.policy.mlp import MlpConfig
@@ -22,10 +22,8 @@ from openclone.training.task_config import (
     TerminationLimits,
 )
 
-LOCOMOTION = (
-    "stand", "forward", "backward", "stepside", "turn", "wave", "reach", "squat",
-    "transition",
-)  # fmt: skip
+GROUNDED = tuple(name for name in CATEGORIES if name != "jump")
+"""Everything but jumps."""
 _WALKING = ("stand", "forward", "turn")
 
 
@@ -42,7 +40,7 @@ class DataChoice:
             out. 1.4 leaves out jogs, runs and side-steps at a run, and keeps walks.
     """
 
-    categories: tuple[str, ...] | None = LOCOMOTION
+    categories: tuple[str, ...] | None = GROUNDED
     recorded_only: bool = False
     mirror: bool = True
     still_seconds: float = 2.0
@@ -65,7 +63,17 @@ class DataChoice:
         )
 
 
+_BEFORE_THE_FALL = TerminationLimits(0.4, 1.2, math.inf, 1.2)
+"""A robot that lags may catch up: what it learns then, the student needs most."""
 _FAST_TASK = TaskConfig(
+    num_envs=512,
+    episode_steps=250,
+    limits=_BEFORE_THE_FALL,
+    failure_share=0.7,
+    push_speed=0.5,
+    standing_share=0.05,
+)
+_QUICKSTART_TASK = TaskConfig(
     num_envs=512, failure_share=0.7, push_speed=0.3, standing_share=0.05
 )
 _FAST_PPO = PpoConfig(
@@ -145,11 +153,12 @@ class DistillationConfig:
 
 
 _STUDENT_TASK = TaskConfig(
-    limits=TerminationLimits(0.3, 1.0, 0.35, 1.0),
-    failure_share=0.6,
-    push_speed=0.3,
+    limits=_BEFORE_THE_FALL,
+    failure_share=0.3,
+    push_speed=0.5,
     displaced_share=0.05,
     standing_share=0.08,
+    recorded_weight=2.0,
 )
 _TUNING_TASK = TaskConfig(
     limits=TerminationLimits(0.35, 1.2, 0.6, 1.2),
@@ -187,7 +196,7 @@ class StudentPreset:
 
     minutes: float = 20.0
     iterations: int | None = None
-    tuning_minutes: float = 25.0
+    tuning_minutes: float = 0.0
     tuning_iterations: int | None = None
     teacher: str = ""
     data: DataChoice = field(default_factory=lambda: DataChoice(still_seconds=4.0))
@@ -247,7 +256,7 @@ TEACHERS = {
     "quickstart": TeacherPreset(
         minutes=22.0,
         data=DataChoice(categories=_WALKING, mirror=False),
-        task=_FAST_TASK,
+        task=_QUICKSTART_TASK,
         ppo=_QUICKSTART_PPO,
     ),
     "smoke": TeacherPreset(
