@@ -83,10 +83,14 @@ def test_gap_of_the_imu(world, events) -> None:
     assert run.lio.health().imu_gaps == 1
 
 
+@pytest.mark.parametrize("since", [0.0, 1.15])
 @pytest.mark.parametrize("offset", [0.05, -0.05])
-def test_clock_offset(world, events, offset: float) -> None:
-    """The offset is found; poses are on the IMU's clock."""
-    run = drive(late_lidar(events, offset, 0.0), world)
+def test_clock_offset(world, events, offset: float, since: float) -> None:
+    """From the start, or from a jump at rest, which shows when the sensor moves.
+
+    The offset is found; poses are on the IMU's clock.
+    """
+    run = drive(late_lidar(events, offset, since), world)
     assert_never_sure_and_wrong(run)
     found = run.lio.health().clock_offset_ns * 1e-9
     assert found == pytest.approx(-offset, abs=0.006)
@@ -116,16 +120,6 @@ def test_clock_that_jumps_while_turning_evenly(offset: float, seed: int) -> None
     run = drive(late_lidar(box_room.stream(world, 5.5), offset, fault), world)
     assert_never_sure_and_wrong(run, fault)
     assert run.first_lost(fault) <= LATE
-    found = run.lio.health().clock_offset_ns * 1e-9
-    assert found == pytest.approx(-offset, abs=0.006)
-    assert run.well_at_the_end()
-
-
-@pytest.mark.parametrize("offset", [0.05, -0.05])
-def test_clock_that_jumps_at_rest(world, events, offset: float) -> None:
-    """Harmless at first; it is found when the sensor begins to move."""
-    run = drive(late_lidar(events, offset, 1.15), world)
-    assert_never_sure_and_wrong(run)
     found = run.lio.health().clock_offset_ns * 1e-9
     assert found == pytest.approx(-offset, abs=0.006)
     assert run.well_at_the_end()

@@ -6,9 +6,13 @@ import pytest
 from openclone.motion.clip import Clip, ClipInfo, clip_from_qpos
 from openclone.robot import g1
 from openclone.robot.model import SensorLayout, build_model, standing_qpos
+from openclone.training import student as student_module
 from openclone.training.physics import ThreadedPhysics
+from openclone.training.presets import STUDENTS, TEACHERS
 from openclone.training.reference import build_reference
+from openclone.training.student import train_student
 from openclone.training.task import TaskConfig, TrackingTask
+from openclone.training.teacher import train_teacher
 
 
 def swaying(name: str = "sway", seconds: float = 3.0, category: str = "stand") -> Clip:
@@ -44,3 +48,14 @@ def make_task(model, reference):
         return TrackingTask(reference, physics, SensorLayout.of(model), config, 0)
 
     return make
+
+
+@pytest.fixture(scope="session")
+def trained(tmp_path_factory, make_clip):
+    """Folder, teacher and student checkpoint of one run of the smoke presets."""
+    out = tmp_path_factory.mktemp("run")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(student_module, "export_bundle", lambda *_: None)
+        teacher = train_teacher([make_clip()], TEACHERS["smoke"], out, threads=1)
+        train_student([make_clip()], teacher, STUDENTS["smoke"], out, threads=1)
+    return out, teacher, out / "student.pt"

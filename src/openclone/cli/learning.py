@@ -151,7 +151,7 @@ def train_student(
     device: str = "cpu",
     model: Path | None = None,
 ) -> None:
-    """Train the student from a teacher: DAgger, then PPO; exports its bundle.
+    """Train the student from a teacher: DAgger, then PPO if wanted; exports a bundle.
 
     With --preset quickstart and no --teacher, its teacher is trained first.
 

@@ -113,7 +113,7 @@ class TeacherTrainer:
         content = {
             "ppo": self.ppo.save(),
             "hidden": list(self.preset.ppo.hidden),
-            "preview": len(self.preset.task.preview),
+            "preview": list(self.preset.task.preview),
             "feedforward": self.preset.task.feedforward,
             "steps": trained.steps,
             "minutes": trained.minutes,
@@ -218,10 +218,8 @@ def _load(
     content = load_checkpoint(path)
     with fitting(path):
         config = replace(PpoConfig(), hidden=tuple(content["hidden"]))
-        moments = content.get("preview", 0)
-        example = TensorDict(
-            {group: torch.zeros(1, teacher_size(moments))}, batch_size=[1]
-        )
+        size = teacher_size(len(content.get("preview", ())))
+        example = TensorDict({group: torch.zeros(1, size)}, batch_size=[1])
         model = mlp_model(example, group, outputs, config)
         model.load_state_dict(content["ppo"][part])
     if task is not None:
@@ -231,10 +229,10 @@ def _load(
 
 def _check_agrees(content: dict[str, Any], task: TaskConfig, path: Path) -> None:
     """Refuse a teacher that saw or did something else than it would in ``task``."""
-    moments, wanted = content.get("preview", 0), len(task.preview)
-    if moments != wanted:
+    moments = tuple(content.get("preview", ()))
+    if moments != task.preview:
         raise InputError(
-            f"the teacher previews {moments} moments, the task {wanted}",
+            f"the teacher previews steps {moments}, the task {task.preview}",
             where=str(path),
             remedy="give a teacher trained with the same `preview` as the student's",
         )
