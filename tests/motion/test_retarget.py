@@ -10,10 +10,12 @@ import mujoco
 import numpy as np
 import pytest
 
+from openclone.motion import skeleton
 from openclone.motion.clip import Clip, ClipInfo
 from openclone.motion.library import read_recording
 from openclone.motion.proportions import FPS, RetargetConfig
 from openclone.motion.quality import ClipQuality
+from openclone.motion.readers import read_motion
 from openclone.motion.retarget import (
     CannotFollowError,
     Solver,
@@ -204,3 +206,15 @@ def test_an_impossible_motion_is_refused(human: Human, solver: Solver) -> None:
     positions[10:20, foot] += np.array([-2.0, 0, 0.5])
     with pytest.raises(CannotFollowError, match="cannot follow it"):
         retarget(replace(still, positions=positions), INFO, solver)
+
+
+@pytest.mark.parametrize("take", ["bk_squat1Reps_013_120", "bk_squat1Reps_016_120"])
+def test_quick_deep_bends_ask_for_no_flight(recordings: Path, take: str) -> None:
+    """Feet stay down, so the pelvis cannot be pulled down faster than it falls."""
+    motion = read_motion(recordings / "hdm05" / f"HDM_{take}.amc")
+    assert isinstance(motion, HumanMotion)
+    motion = skeleton.start_at_origin(motion.resampled(FPS))
+    targets = make_targets(motion, RetargetConfig())
+    height = targets.position["pelvis"][:, 2]
+    assert height.min() < 0.6
+    assert (np.diff(height, 2) * FPS**2).min() > -9.81

@@ -20,7 +20,7 @@ from openclone.robot import g1
 from openclone.robot.model import SOLE_CORNERS, build_model
 from openclone.spatial import rotations
 
-VERSION = 18
+VERSION = 19
 """Raise when the output changes: cached clips of older versions are made again."""
 
 _ARM_JOINTS = slice(15, g1.NUM_JOINTS)

@@ -172,6 +172,9 @@ def _reach_drop(
 
 _SQUAT_BACK, _SQUAT_UP = 0.2, 0.3
 """Metres; a squatting pelvis moves back at most this far, then up."""
+_RISE_S = 0.3
+"""Seconds over which a move up is spread: at the bottom of a quick squat a shorter one
+throws the pelvis up and down again faster than gravity allows."""
 
 
 def _fit_squat(
@@ -195,23 +198,23 @@ def _fit_squat(
         legs.append(np.stack((forward, leg[:, 2]), axis=1))
         pitches.append(np.arctan2(ahead[:, 2], level))
 
-    def needed(farthest: tuple[float, float]) -> np.ndarray:
+    def needed(farthest: tuple[float, float], seconds: float) -> np.ndarray:
         shares = [
             hip_move(leg, pitch, THIGH, SHANK, config.max_ankle, farthest)
             for leg, pitch in zip(legs, pitches, strict=True)
         ]
-        return _held_over(np.max(shares, axis=0))
+        return _held_over(np.max(shares, axis=0), seconds)
 
-    back = _SQUAT_BACK * needed((-_SQUAT_BACK, 0.0))
+    back = _SQUAT_BACK * needed((-_SQUAT_BACK, 0.0), 0.06)
     legs = [leg - np.stack((back, 0.0 * back), axis=1) for leg in legs]
-    up = _SQUAT_UP * needed((0.0, _SQUAT_UP))
+    up = _SQUAT_UP * needed((0.0, _SQUAT_UP), _RISE_S)
     heading = rotations.heading(quat)
     return rotations.rotate(heading, np.stack((-back, 0.0 * back, up), axis=1))
 
 
-def _held_over(need: np.ndarray) -> np.ndarray:
+def _held_over(need: np.ndarray, seconds: float = 0.06) -> np.ndarray:
     """``need (T,)``, smoothed without ever falling below itself by much."""
-    reach = round(0.06 * FPS)
+    reach = round(seconds * FPS)
     padded = np.pad(need, reach, mode="edge")
     widened = [np.roll(padded, k) for k in range(-reach, reach + 1)]
     return smooth(np.max(widened, axis=0)[reach:-reach], reach / 2)
