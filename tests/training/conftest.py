@@ -37,12 +37,14 @@ def model():
 
 @pytest.fixture(scope="session")
 def reference(model):
-    return build_reference([swaying("a"), swaying("b", 2.0)], model)
+    return build_reference([swaying("a"), swaying("b", 2.0)], model, feedback=True)
 
 
 @pytest.fixture
 def make_task(model, reference):
-    def make(num_envs: int = 4, **settings: object) -> TrackingTask:
+    default = reference
+
+    def make(num_envs: int = 4, reference=default, **settings: object) -> TrackingTask:
         physics = ThreadedPhysics(model, num_envs, threads=1)
         config = TaskConfig(num_envs=num_envs, **settings)
         return TrackingTask(reference, physics, SensorLayout.of(model), config, 0)

@@ -57,6 +57,6 @@ def test_a_teacher_of_another_task_is_refused(trained, make_clip, tmp_path):
         other = replace(STUDENT, task=replace(STUDENT.task, preview=steps))
         with pytest.raises(InputError, match=r"previews steps \(5, 10, 20, 40\), the"):
             train_student([make_clip()], trained[1], other, tmp_path, threads=1)
-    bare = replace(TEACHER, task=replace(TEACHER.task, feedforward=False))
-    with pytest.raises(InputError, match="offsets to other joint targets"):
+    bare = replace(TEACHER, task=replace(TEACHER.task, guidance="angles"))
+    with pytest.raises(InputError, match="guidance is 'feedforward', the"):
         train_teacher([make_clip()], bare, tmp_path, start=trained[1], threads=1)

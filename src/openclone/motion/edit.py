@@ -23,12 +23,14 @@ def _mirrored_joint(name: str) -> tuple[int, float]:
 _MIRROR = [_mirrored_joint(name) for name in g1.JOINT_NAMES]
 MIRROR_INDEX = np.array([index for index, _ in _MIRROR])
 MIRROR_SIGN = np.array([sign for _, sign in _MIRROR])
+MIRRORED = "~mirror"
+"""Ends the names of mirrored clips."""
 
 
 def mirror(clip: Clip) -> Clip:
     """Swap left and right: reflect the motion in the world's xz plane."""
     return Clip(
-        replace(clip.info, name=f"{clip.info.name}~mirror"),
+        replace(clip.info, name=clip.info.name + MIRRORED),
         clip.root_position * np.array([1.0, -1.0, 1.0]),
         clip.root_quat * np.array([1.0, -1.0, 1.0, -1.0]),
         clip.joint_angles[:, MIRROR_INDEX] * MIRROR_SIGN,

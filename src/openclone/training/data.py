@@ -61,12 +61,18 @@ def select_clips(
 
 
 def load_reference(
-    clips: list[Clip], hardware: Hardware | None = None
+    clips: list[Clip], hardware: Hardware | None = None, feedback: bool = False
 ) -> ReferenceMotions:
-    """Tables of the reference for ``clips``, on the run's device."""
+    """Tables of the reference for ``clips``, on the run's device.
+
+    Args:
+        clips: the motions.
+        hardware: device, and the model's file; the CPU by default.
+        feedback: with feedback gains, which tasks of that kind need.
+    """
     hardware = hardware or Hardware()
     model = build_training_model(file=hardware.model)
-    return build_reference(clips, model).to(hardware.torch_device())
+    return build_reference(clips, model, feedback).to(hardware.torch_device())
 
 
 def make_task(

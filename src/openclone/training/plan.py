@@ -36,6 +36,7 @@ from openclone.training.presets import (
     TeacherPreset,
 )
 from openclone.training.progress import Budget, Progress
+from openclone.training.regulator import DEVIATION_SIZE
 from openclone.training.student import StudentEnvironment, StudentTrainer
 from openclone.training.task_config import TaskConfig
 from openclone.training.teacher import TeacherEnvironment, TeacherTrainer
@@ -44,6 +45,8 @@ MEASURED_ROBOTS = 256
 """At most so many robots take part in the measurement."""
 _FRAME_BYTES = 8 * (36 + 35) + 4 * (2 * 29 + 14 * 13 + 29 + 6) + 16
 """Of the reference tables, per frame."""
+_GAIN_BYTES = 2 * g1.NUM_JOINTS * (DEVIATION_SIZE + 1)
+"""Of the feedback gains, per frame."""
 _WORKING_BYTES = 700 * 2**20
 """Python, torch and MuJoCo themselves."""
 
@@ -83,7 +86,7 @@ def plan_teacher(
     memory = _ppo_bytes(trainer.ppo, config, robots)
     if trainer.style is not None and preset.amp is not None:
         memory += 4 * preset.amp.replay * 80 + _network_bytes(trainer.style.net)
-    memory += _robot_bytes(preset.task) + _data_bytes(motion_minutes)
+    memory += _robot_bytes(preset.task) + _data_bytes(motion_minutes, preset.task)
     bounds = Budget(preset.minutes, preset.iterations)
     return _phase("teacher", robots, config.steps, rate, bounds, memory)
 
@@ -97,7 +100,7 @@ def plan_student(
     )
     with tempfile.TemporaryDirectory() as folder:
         trainer = StudentTrainer([waving()], small, Path(folder), 0, threads)
-        data = _data_bytes(motion_minutes)
+        data = _data_bytes(motion_minutes, preset.task)
         plans = [_plan_dagger(trainer, preset, seconds, data, Path(folder))]
         if preset.tuning_minutes > 0:
             plans.append(_plan_tuning(trainer, preset, seconds, data))
@@ -113,7 +116,7 @@ def _plan_dagger(
 ) -> PhasePlan:
     config = preset.distillation
     view = trainer.view(trainer.preset.task)
-    teacher = _untrained_teacher(view.task.num_envs).actor
+    teacher = _untrained_teacher(view.task.config).actor
     rng = np.random.default_rng(0)
     dagger = Dagger(view, teacher, trainer.student, _scaled(preset), rng, folder)
     rate = _rate(lambda progress: distill(dagger, progress), seconds)
@@ -188,8 +191,8 @@ def _ppo_rate(
     return _rate(iteration, seconds)
 
 
-def _untrained_teacher(robots: int) -> PPO:
-    preset = TeacherPreset(task=TaskConfig(num_envs=robots), ppo=PpoConfig())
+def _untrained_teacher(task: TaskConfig) -> PPO:
+    preset = TeacherPreset(task=task, ppo=PpoConfig())
     return TeacherTrainer([waving()], preset, 0, 1).ppo
 
 
@@ -232,8 +235,9 @@ def _robot_bytes(task: TaskConfig) -> float:
     return task.num_envs * each
 
 
-def _data_bytes(motion_minutes: float) -> float:
-    return _WORKING_BYTES + motion_minutes * 60 * 50 * _FRAME_BYTES
+def _data_bytes(motion_minutes: float, task: TaskConfig) -> float:
+    frame = _FRAME_BYTES + (task.guidance == "feedback") * _GAIN_BYTES
+    return _WORKING_BYTES + motion_minutes * 60 * 50 * frame
 
 
 def _phase(

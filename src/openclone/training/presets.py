@@ -8,6 +8,7 @@ from typing import TypeVar
 
 from openclone.errors import InputError
 from openclone.motion.clip import CATEGORIES, Clip
+from openclone.motion.sources.gliding import is_command
 from openclone.odometry.faults import REAL, OdometryFaultsConfig
 from openclone.odometry.noise import OdometryNoiseConfig
 from openclone.policy.mlp import MlpConfig
@@ -34,16 +35,19 @@ class DataChoice:
     Attributes:
         categories: motion categories to train on; None for all.
         recorded_only: leave out synthetic and edited clips.
+        commands: also train on gliding laps, which no feet can follow.
         mirror: also train on every clip with left and right swapped.
-        still_seconds: hold clips that end at rest for this long.
+        still_seconds: hold clips that end at rest for this long. The same for teacher
+            and student, which then share what is computed about the motions.
         fastest: metres per second; clips that travel faster for half a second are left
             out. 1.4 leaves out jogs, runs and side-steps at a run, and keeps walks.
     """
 
     categories: tuple[str, ...] | None = GROUNDED
     recorded_only: bool = False
+    commands: bool = True
     mirror: bool = True
-    still_seconds: float = 2.0
+    still_seconds: float = 4.0
     fastest: float = math.inf
 
     def select(self, clips: list[Clip]) -> list[Clip]:
@@ -52,7 +56,12 @@ class DataChoice:
         Raises:
             InputError: none is left.
         """
-        kept = [c for c in clips if not self.recorded_only or is_recorded(c)]
+        kept = [
+            clip
+            for clip in clips
+            if (is_recorded(clip) or not self.recorded_only)
+            and (self.commands or not is_command(clip.info))
+        ]
         if clips and not kept:
             raise InputError(
                 "this preset trains on recordings alone, and there are none",
@@ -73,20 +82,20 @@ _FAST_TASK = TaskConfig(
     push_speed=0.5,
     standing_share=0.05,
 )
+# Feedback would hold the teacher to feet that glide.
+_QUICKSTART_DATA = DataChoice(categories=_WALKING, commands=False, mirror=False)
 _QUICKSTART_TASK = TaskConfig(
-    num_envs=512, failure_share=0.7, push_speed=0.3, standing_share=0.05
+    num_envs=512,
+    guidance="feedback",
+    limits=_BEFORE_THE_FALL,
+    failure_share=0.5,
+    push_speed=0.5,
+    displaced_share=0.2,
+    standing_share=0.1,
 )
 _FAST_PPO = PpoConfig(
     steps=24, epochs=4, minibatches=4, kl=0.03, slowest=1e-5, fastest=5e-4, entropy=0.0
 )
-# From nothing in 20 minutes. Measured after 150 000 steps on synthetic walks, without
-# noise, on uniform starts, in falls / 1000 steps (untrained: 17.9; two runs of the same
-# setting may differ by 1): noise 0.5, 0.3, 0.2 with 256 robots x 16 steps: 12.6, 14.4,
-# 14.7; noise 0.5 with 512 x 16: 13.0 in 8 minibatches, 13.6 in 4; noise 0.3 with
-# 512 x 16: 15.2. So it begins noisy, and 512 robots, which step faster, lose nothing.
-# Later in training, less noise and larger batches with smaller updates helped most
-# (training log, stages 2, 5 and 8): noise and KL divergence fall over the run. That
-# fall, squeezed into 150 000 steps, gave 15.0; over 20 minutes it was not compared.
 _QUICKSTART_PPO = PpoConfig(
     steps=16,
     epochs=4,
@@ -97,8 +106,8 @@ _QUICKSTART_PPO = PpoConfig(
     kl=0.05,
     final_kl=0.02,
     entropy=0.0,
-    initial_std=0.5,
-    final_std=0.2,
+    initial_std=0.2,
+    final_std=0.1,
 )
 
 
@@ -199,7 +208,7 @@ class StudentPreset:
     tuning_minutes: float = 0.0
     tuning_iterations: int | None = None
     teacher: str = ""
-    data: DataChoice = field(default_factory=lambda: DataChoice(still_seconds=4.0))
+    data: DataChoice = field(default_factory=DataChoice)
     history: int = 25
     network: MoeConfig | MlpConfig = field(default_factory=MoeConfig)
     noise: OdometryNoiseConfig = field(default_factory=OdometryNoiseConfig)
@@ -222,7 +231,7 @@ _PAPER_TASK = replace(
     limits=TerminationLimits(math.inf, math.inf, math.inf, 1.5),
     lead_frames=0,
     preview=(),
-    feedforward=False,
+    guidance="angles",
 )
 _SMOKE_TASK = TaskConfig(num_envs=16, episode_steps=50)
 _SMOKE_PPO = PpoConfig(steps=4, epochs=1, minibatches=1, hidden=(32, 32))
@@ -254,8 +263,8 @@ TEACHERS = {
         amp=AmpConfig(),
     ),
     "quickstart": TeacherPreset(
-        minutes=22.0,
-        data=DataChoice(categories=_WALKING, mirror=False),
+        minutes=8.0,
+        data=_QUICKSTART_DATA,
         task=_QUICKSTART_TASK,
         ppo=_QUICKSTART_PPO,
     ),
@@ -274,7 +283,7 @@ STUDENTS = {
     "mlp": replace(_STUDENT, network=MlpConfig()),
     "other-data": replace(
         _STUDENT,
-        data=DataChoice(recorded_only=True, mirror=False, still_seconds=4.0),
+        data=DataChoice(recorded_only=True, mirror=False),
     ),
     "history-5": replace(_STUDENT, history=5),
     "history-50": replace(_STUDENT, history=50),
@@ -298,10 +307,11 @@ STUDENTS = {
         ),
     ),
     "quickstart": StudentPreset(
-        minutes=14.0,
+        minutes=20.0,
         tuning_minutes=0.0,
         teacher="quickstart",
-        data=DataChoice(categories=_WALKING, mirror=False, still_seconds=4.0),
+        task=replace(_STUDENT_TASK, guidance="feedback"),
+        data=_QUICKSTART_DATA,
     ),
     "smoke": StudentPreset(
         minutes=math.inf,

@@ -12,11 +12,16 @@ import torch
 from scipy.ndimage import gaussian_filter1d
 
 from openclone.motion.clip import Clip
+from openclone.motion.edit import MIRRORED
+from openclone.motion.library import default_cache
+from openclone.motion.sources.gliding import is_command
 from openclone.policy.teacher import landmarks
 from openclone.robot import g1
 from openclone.robot.model import CONTROL_PERIOD, SensorLayout
 from openclone.robot.state import RobotState, read_state
+from openclone.training.feedback import mirrored_feedback
 from openclone.training.feedforward import feedforward
+from openclone.training.regulator import DEVIATION_SIZE, Motion, regulate_all
 
 _FPS = 1.0 / CONTROL_PERIOD
 _SMOOTHING_FRAMES = 1.5
@@ -40,6 +45,7 @@ class ReferenceMotions:
     Attributes:
         qpos, qvel: (F, 36) and (F, 35), MuJoCo coordinates, on the host.
         feedforward: (F, 29), radians, of `training.feedforward`.
+        feedback: (F, 29, 71), half precision, of `training.feedback`; on request.
         frames: the robot's state in every frame, tensors (F, ...), views of ``table``;
             torque and foot force are zero.
         table: (F, d), all of it in one row per frame.
@@ -61,6 +67,7 @@ class ReferenceMotions:
     names: tuple[str, ...]
     categories: tuple[str, ...]
     recorded: tuple[bool, ...]
+    feedback: torch.Tensor | None = None
 
     @property
     def num_frames(self) -> int:
@@ -87,6 +94,7 @@ class ReferenceMotions:
             frames=_as_state(table),
             table=table,
             feedforward=self.feedforward.to(device),
+            feedback=None if self.feedback is None else self.feedback.to(device),
             clip=self.clip.to(device),
             last=self.last.to(device),
             category=self.category.to(device),
@@ -136,8 +144,16 @@ def _distinct(names: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(sorted(set(names)))
 
 
-def build_reference(clips: list[Clip], model: mujoco.MjModel) -> ReferenceMotions:
-    """Resample ``clips`` to 50 Hz and compute the motion of the key bodies."""
+def build_reference(
+    clips: list[Clip], model: mujoco.MjModel, feedback: bool = False
+) -> ReferenceMotions:
+    """Resample ``clips`` to 50 Hz and compute the motion of the key bodies.
+
+    Args:
+        clips: the motions.
+        model: the robot on flat ground.
+        feedback: also compute gains, about three milliseconds per frame on two cores.
+    """
     layout = SensorLayout.of(model)
     data = mujoco.MjData(model)
     qpos_parts, qvel_parts, sensor_parts, lengths = [], [], [], []
@@ -184,4 +200,54 @@ def build_reference(clips: list[Clip], model: mujoco.MjModel) -> ReferenceMotion
         names=tuple(clip.info.name for clip in clips),
         categories=categories,
         recorded=tuple(clip.info.recorded for clip in clips),
+        feedback=_feedback(clips, model, qpos_parts, qvel_parts, offset_parts)
+        if feedback
+        else None,
     )
+
+
+def _feedback(
+    clips: list[Clip],
+    model: mujoco.MjModel,
+    qpos: list[np.ndarray],
+    qvel: list[np.ndarray],
+    offsets: list[np.ndarray],
+) -> torch.Tensor:
+    """Gains of all frames; those of a mirrored clip are mirrored.
+
+    What is a command and no motion has none: nobody can stay near it.
+    """
+    ends = np.cumsum([len(part) for part in qpos])
+    table = np.empty((ends[-1], g1.NUM_JOINTS, DEVIATION_SIZE + 1), np.float16)
+    places = [slice(end - len(part), end) for end, part in zip(ends, qpos, strict=True)]
+    known = {
+        (clip.info.name, len(part)): place
+        for clip, part, place in zip(clips, qpos, places, strict=True)
+    }
+    originals = [
+        known.get((clip.info.name.removesuffix(MIRRORED), len(part)))
+        if clip.info.name.endswith(MIRRORED)
+        else None
+        for clip, part in zip(clips, qpos, strict=True)
+    ]
+    table[:] = 0.0
+    own = [
+        index
+        for index, original in enumerate(originals)
+        if original is None and not is_command(clips[index].info)
+    ]
+    cache = default_cache().parent / "feedback"
+    motions = [
+        Motion(qpos[i], qvel[i], _following(qpos[i][:, 7:] + offsets[i])) for i in own
+    ]
+    for index, gains in zip(own, regulate_all(model, motions, cache), strict=True):
+        table[places[index]] = gains
+    for place, original in zip(places, originals, strict=True):
+        if original is not None:
+            table[place] = mirrored_feedback(table[original])
+    return torch.from_numpy(table)
+
+
+def _following(rows: np.ndarray) -> np.ndarray:
+    """Every row's successor; the last one stays."""
+    return np.concatenate((rows[1:], rows[-1:]))

@@ -87,7 +87,9 @@ class StudentTrainer:
         self.preset, self.out, self.seed = preset, out, seed
         self.threads, self.hardware = threads, hardware or Hardware()
         self.data_hash = clip_hash(chosen)
-        self.reference: ReferenceMotions = load_reference(chosen, self.hardware)
+        self.reference: ReferenceMotions = load_reference(
+            chosen, self.hardware, preset.task.guidance == "feedback"
+        )
         self.student = StudentModel(
             preset.network, preset.ppo.initial_std, preset.history
         ).to(self.reference.device)

@@ -14,6 +14,7 @@ from openclone.robot import g1
 from openclone.robot.model import CONTROL_PERIOD, SensorLayout
 from openclone.robot.state import RobotState, read_state
 from openclone.training.births import displace, to_standing
+from openclone.training.feedback import corrections, deviation
 from openclone.training.physics import Physics
 from openclone.training.randomization import ActionPath, RobotFactory
 from openclone.training.reference import ReferenceMotions
@@ -88,6 +89,8 @@ class TrackingTask:
             seed: of all randomness.
             terrain: uneven ground; None if all is flat.
         """
+        if config.guidance == "feedback" and reference.feedback is None:
+            raise ValueError("the task needs a reference with feedback gains")
         self.device = physics.device
         self.reference = reference = reference.to(self.device)
         self.physics = physics
@@ -117,6 +120,7 @@ class TrackingTask:
         self._displaced = torch.zeros(n, dtype=torch.bool, device=self.device)
         self._born_age = torch.zeros_like(self.frame)
         self._following: torch.Tensor | None = None
+        self._correction: torch.Tensor | None = None
         self._looked_up: RobotState | None = None
         self._reset(torch.arange(n))
         # Spread the episodes' ends, so that resets do not come all at once.
@@ -132,7 +136,7 @@ class TrackingTask:
     def jump_to(self, frame: torch.Tensor) -> None:
         """Put the reference of every robot at ``frame (n,)``; the robots stay."""
         self.frame = frame.to(self.device)
-        self._following = self._looked_up = None
+        self._following = self._looked_up = self._correction = None
 
     def next_frame(self) -> torch.Tensor:
         """(n,) index of the reference frame for the next step, t + 1."""
@@ -152,12 +156,22 @@ class TrackingTask:
         return self.base_targets() + self.action_scale * action
 
     def base_targets(self) -> torch.Tensor:
-        """(n, 29): reference angles, with feed-forward if the task has it."""
-        angles = self.next_reference().joint_angles
-        if not self.config.feedforward:
-            return angles
-        ahead = self.reference.feedforward.index_select(0, self.next_frame())
-        return angles + ahead
+        """(n, 29): joint targets of the configured guidance."""
+        targets = self.next_reference().joint_angles
+        guidance = self.config.guidance
+        if guidance != "angles":
+            ahead = self.reference.feedforward.index_select(0, self.next_frame())
+            targets = targets + ahead
+        return targets + self.feedback() if guidance == "feedback" else targets
+
+    def feedback(self) -> torch.Tensor:
+        """(n, 29), radians: what the linear feedback adds in the current state."""
+        if self._correction is None:
+            gains = self.reference.feedback
+            assert gains is not None
+            away = deviation(self._state, self.reference.at(self.frame))
+            self._correction = corrections(gains.index_select(0, self.frame), away)
+        return self._correction
 
     def teacher_observation(self) -> torch.Tensor:
         """(n, d): the privileged observation of section 3.1, and the preview."""
@@ -171,6 +185,8 @@ class TrackingTask:
             reference, body_position=reference.body_position + lead[:, None]
         )
         seen = teacher_observation(self._state, shifted, self.action)
+        if self.config.guidance == "feedback":
+            seen = torch.cat((seen, self.feedback() / self.action_scale), 1)
         if not self.config.preview:
             return seen
         moments = torch.minimum(following[:, None] + self._preview, last[:, None])

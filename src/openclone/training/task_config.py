@@ -4,9 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import Literal
 
 from openclone.training.randomization import TABLE_A2, RandomizationConfig
 from openclone.training.reward_table import FAST, RewardWeights
+
+Guidance = Literal["angles", "feedforward", "feedback"]
+"""Joint targets that need no learning: the reference's angles; those that also give the
+reference's torques; those that, by linear feedback, also hold the robot near it. The
+teacher sees what feedback adds."""
 
 
 @dataclass(frozen=True)
@@ -52,8 +58,7 @@ class TaskConfig:
             velocity follows it at a distance (0.18 s measured); this takes it away.
         preview: control steps ahead at which the teacher also sees the reference; the
             paper's teacher sees the next step alone.
-        feedforward: the teacher's action is an offset to joint targets that already
-            give the reference's torques, instead of to the reference's angles.
+        guidance: what the teacher's action is an offset to.
         randomization: the other rows of Table A2.
     """
 
@@ -70,7 +75,7 @@ class TaskConfig:
     push_interval: float = 5.0
     push_speed: float = 0.5
     lead_frames: int = 10
-    feedforward: bool = True
+    guidance: Guidance = "feedforward"
     preview: tuple[int, ...] = (5, 10, 20, 40)
     born_by_area: bool = True
     randomization: RandomizationConfig = field(default_factory=RandomizationConfig)

@@ -55,7 +55,9 @@ class TeacherEnvironment:
 
 
 def _new_ppo(task: TrackingTask, config: PpoConfig) -> PPO:
-    size = teacher_size(len(task.config.preview))
+    size = teacher_size(
+        len(task.config.preview), feedback=task.config.guidance == "feedback"
+    )
     seen = torch.zeros(task.num_envs, size, device=task.device)
     example = TensorDict({GROUP: seen}, batch_size=[task.num_envs])
     actor = mlp_model(example, GROUP, g1.NUM_JOINTS, config)
@@ -83,7 +85,11 @@ class TeacherTrainer:
         self.preset = preset
         self.data_hash = clip_hash(chosen)
         self.task = make_task(
-            load_reference(chosen, hardware), preset.task, seed, threads, hardware
+            load_reference(chosen, hardware, preset.task.guidance == "feedback"),
+            preset.task,
+            seed,
+            threads,
+            hardware,
         )
         self.ppo = _new_ppo(self.task, preset.ppo)
         self.style: AmpStyle | None = None
@@ -114,7 +120,7 @@ class TeacherTrainer:
             "ppo": self.ppo.save(),
             "hidden": list(self.preset.ppo.hidden),
             "preview": list(self.preset.task.preview),
-            "feedforward": self.preset.task.feedforward,
+            "guidance": self.preset.task.guidance,
             "steps": trained.steps,
             "minutes": trained.minutes,
             "iterations": trained.iterations,
@@ -218,7 +224,9 @@ def _load(
     content = load_checkpoint(path)
     with fitting(path):
         config = replace(PpoConfig(), hidden=tuple(content["hidden"]))
-        size = teacher_size(len(content.get("preview", ())))
+        size = teacher_size(
+            len(content["preview"]), feedback=content["guidance"] == "feedback"
+        )
         example = TensorDict({group: torch.zeros(1, size)}, batch_size=[1])
         model = mlp_model(example, group, outputs, config)
         model.load_state_dict(content["ppo"][part])
@@ -229,16 +237,17 @@ def _load(
 
 def _check_agrees(content: dict[str, Any], task: TaskConfig, path: Path) -> None:
     """Refuse a teacher that saw or did something else than it would in ``task``."""
-    moments = tuple(content.get("preview", ()))
+    moments = tuple(content["preview"])
     if moments != task.preview:
         raise InputError(
             f"the teacher previews steps {moments}, the task {task.preview}",
             where=str(path),
             remedy="give a teacher trained with the same `preview` as the student's",
         )
-    if content.get("feedforward", False) != task.feedforward:
+    if content["guidance"] != task.guidance:
         raise InputError(
-            "the teacher's actions are offsets to other joint targets than the task's",
+            f"the teacher's guidance is {content['guidance']!r}, "
+            f"the task's {task.guidance!r}",
             where=str(path),
-            remedy="give a teacher trained with the same `feedforward`",
+            remedy="give a teacher trained with the same `guidance`",
         )
