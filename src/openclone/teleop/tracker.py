@@ -16,6 +16,7 @@ from openclone.spatial.filters import (
     OneEuroRotationFilter,
 )
 from openclone.teleop.calibration import Calibration
+from openclone.teleop.governor import Governor, GovernorConfig
 from openclone.teleop.messages import OperatorFrame
 
 
@@ -30,11 +31,10 @@ class TrackerConfig:
         max_speed: m/s; a point that moves faster has jumped and is not believed, until
             the time that has passed makes the distance plausible.
         max_target_speed: m/s; target velocities are cut to this.
-        max_travel_speed: m/s; the robot walks no faster. If the operator runs, the
-            targets stay behind together and catch up at this speed.
         max_lead_s: seconds that a target is extrapolated at most.
         anchor_distance: metres; if the operator reappears further away than this, the
             head's target stays where it is and the map is moved instead.
+        governor: how fast the targets may move together.
     """
 
     position: OneEuroConfig = field(
@@ -46,9 +46,9 @@ class TrackerConfig:
     velocity_cutoff_hz: float = 10.0
     max_speed: float = 15.0
     max_target_speed: float = 4.0
-    max_travel_speed: float = 1.2
     max_lead_s: float = 0.06
     anchor_distance: float = 0.3
+    governor: GovernorConfig = field(default_factory=GovernorConfig)
 
 
 class OperatorTracker:
@@ -65,7 +65,7 @@ class OperatorTracker:
         self._differentiator = Differentiator(self._config.velocity_cutoff_hz)
         self._last: OperatorFrame | None = None
         self._targets: KeyPoints | None = None
-        self._place: np.ndarray | None = None
+        self._governor = Governor(self._config.governor)
         self._velocity = np.zeros((3, 3))
         self._doubted_s = np.zeros(3)
 
@@ -83,9 +83,8 @@ class OperatorTracker:
                 return
         positions = self._points.update(frame.positions, period)
         quats = self._turns.update(frame.quats, period)
-        self._targets = self._held_back(
-            self._calibration.apply(positions, quats), period
-        )
+        wanted = self._calibration.apply(positions, quats)
+        self._targets = self._governor.follow(wanted, period)
         velocity = self._differentiator.update(self._targets.position, period)
         speed = np.maximum(np.linalg.norm(velocity, axis=1, keepdims=True), 1e-9)
         self._velocity = velocity * np.minimum(
@@ -110,7 +109,8 @@ class OperatorTracker:
         for part in (self._points, self._turns, self._differentiator):
             part.reset()
         self._doubted_s[:] = 0.0
-        self._last = self._place = None
+        self._last = None
+        self._governor.reset()
         self.update(frame)
 
     def command(self, now_ns: int, stale: bool) -> Command:
@@ -128,27 +128,6 @@ class OperatorTracker:
         lead = min(max(age, 0.0) + CONTROL_PERIOD, self._config.max_lead_s)
         position = self._targets.position + lead * self._velocity
         return Command(KeyPoints(position, self._targets.quat), self._velocity)
-
-    def _held_back(self, targets: KeyPoints, period: float) -> KeyPoints:
-        """``targets``, moved together so that the head travels no faster than allowed.
-
-        Args:
-            targets: where the operator wants head and hands.
-            period: seconds since the targets before.
-        """
-        wanted = targets.position[0, :2]
-        if self._place is None:
-            self._place = wanted.copy()
-        way = wanted - self._place
-        reach = self._config.max_travel_speed * period
-        distance = float(np.linalg.norm(way))
-        if distance <= reach or period == 0.0:
-            self._place = wanted.copy()
-            return targets
-        self._place = self._place + way * (reach / distance)
-        position = targets.position.copy()
-        position[:, :2] += self._place - wanted
-        return KeyPoints(position, targets.quat)
 
     def _plausible(
         self, frame: OperatorFrame, last: OperatorFrame, period: float
