@@ -16,8 +16,9 @@ class GovernorConfig:
     """What the robot can follow over the ground; the shipped policy's by default.
 
     An operator who is faster is caught up with at these rates; up and down there is no
-    limit. Measured on jogging in a circle, 10 runs: 10 falls without, none with it;
-    without the limit on turning 6.
+    limit. Measured live on the 38 recordings of `train` that stand, walk or turn,
+    2 runs each: 40 falls without, 33 with it, jogging 12 and 4 of 12; without the limit
+    on turning 34 and 6. Narrow: at 0.75 m/s a slow turn of 135 degrees falls.
 
     Attributes:
         travel_speed: m/s over the ground, of the head.
