@@ -5,7 +5,7 @@ import torch
 
 from openclone.errors import InputError
 from openclone.policy import observation
-from openclone.policy.bundle import g1_info, load_bundle
+from openclone.policy.bundle import g1_info, load_bundle, packaged_bundle
 from openclone.policy.command import Command, KeyPoints
 from openclone.policy.controller import StudentController
 from openclone.policy.mlp import MlpConfig
@@ -121,3 +121,11 @@ def test_missing_and_damaged_files(tmp_path):
     damaged.write_bytes(b"x" * 100)
     with pytest.raises(InputError, match="not a readable ONNX file"):
         load_bundle(damaged)
+
+
+def test_a_bundle_tells_nothing_about_the_machine(exported):
+    _, path = exported
+    for file in (path, packaged_bundle()):
+        content = file.read_bytes()
+        assert b"site-packages" not in content
+        assert b"stack_trace" not in content

@@ -80,6 +80,8 @@ def write_metadata(path: Path, info: BundleInfo) -> None:
 
     model = onnx.load(str(path))
     del model.metadata_props[:]
+    for node in model.graph.node:  # torch leaves traces with the machine's paths
+        del node.metadata_props[:]
     for key, value in {"format": FORMAT, **asdict(info)}.items():
         model.metadata_props.add(key=key, value=json.dumps(value))
     onnx.save(model, str(path))
