@@ -311,6 +311,7 @@ STUDENTS = {
         tuning_minutes=0.0,
         teacher="quickstart",
         task=replace(_STUDENT_TASK, guidance="feedback"),
+        tuning_task=replace(_TUNING_TASK, guidance="feedback"),
         data=_QUICKSTART_DATA,
     ),
     "smoke": StudentPreset(
