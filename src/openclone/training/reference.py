@@ -156,20 +156,12 @@ def build_reference(
             kept in the user's cache.
     """
     layout = SensorLayout.of(model)
-    data = mujoco.MjData(model)
     qpos_parts, qvel_parts, sensor_parts, lengths = [], [], [], []
     offset_parts = []
     for clip in clips:
         qpos = clip.resampled(_FPS).qpos
         qvel = generalized_velocities(model, qpos)
-        sensors = np.empty((len(qpos), model.nsensordata))
-        for index in range(len(qpos)):
-            data.qpos[:], data.qvel[:] = qpos[index], qvel[index]
-            mujoco.mj_fwdPosition(model, data)
-            mujoco.mj_sensorPos(model, data)
-            mujoco.mj_fwdVelocity(model, data)
-            mujoco.mj_sensorVel(model, data)
-            sensors[index] = data.sensordata
+        sensors = _sensed(model, qpos, qvel)
         sensors[:, layout.torque] = 0.0
         sensors[:, layout.foot_force] = 0.0
         qpos_parts.append(qpos)
@@ -205,6 +197,20 @@ def build_reference(
         if feedback
         else None,
     )
+
+
+def _sensed(model: mujoco.MjModel, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
+    """Sensor data of states, one row each; those of forces mean nothing."""
+    data = mujoco.MjData(model)
+    sensors = np.empty((len(qpos), model.nsensordata))
+    for index in range(len(qpos)):
+        data.qpos[:], data.qvel[:] = qpos[index], qvel[index]
+        mujoco.mj_fwdPosition(model, data)
+        mujoco.mj_sensorPos(model, data)
+        mujoco.mj_fwdVelocity(model, data)
+        mujoco.mj_sensorVel(model, data)
+        sensors[index] = data.sensordata
+    return sensors
 
 
 def _feedback(
