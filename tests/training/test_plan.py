@@ -74,6 +74,16 @@ def test_command_prints_and_writes_the_plan(tmp_path, capsys):
         assert 500 < phase["memory_mb"] < 2000
 
 
+def test_gains_are_planned_where_the_task_needs_them():
+    tasks = [SMOKE.task, replace(SMOKE.task, guidance="feedback")]
+    assert plan.plan_gains(tasks[:1], 30.0, 2) == []
+    (one,) = plan.plan_gains(tasks, 30.0, 1)
+    assert one.steps == 30 * 60 * 50
+    assert one.minutes == pytest.approx(one.steps / one.steps_per_s / 60)
+    # 4 kilobytes a frame: (29 x 71) halves.
+    assert one.memory_mb - 800 == pytest.approx(90_000 * 4118 / 2**20)
+
+
 def test_unknown_preset_lists_all():
     with pytest.raises(InputError, match=r"quickstart.*history-50"):
         learning.train_plan(preset="nope")

@@ -263,7 +263,7 @@ def train_plan(
     Args:
         preset: of the teacher, the student or both.
         seconds: length of the measurement of each phase.
-        motion_minutes: length of the training motions, for the memory.
+        motion_minutes: length of the training motions, for the memory and the gains.
         threads: CPU threads; all cores by default.
         json: also write the figures to this file.
     """
@@ -276,12 +276,12 @@ def train_plan(
     if preset not in TEACHERS and preset not in STUDENTS:
         names = ", ".join(dict.fromkeys((*TEACHERS, *STUDENTS)))
         raise InputError(f"unknown preset {preset!r}", remedy=f"use one of {names}")
-    phases: list[PhasePlan] = []
-    if preset in TEACHERS:
-        teacher = TEACHERS[preset]
+    teacher, student = TEACHERS.get(preset), STUDENTS.get(preset)
+    tasks = [choice.task for choice in (teacher, student) if choice is not None]
+    phases = plan.plan_gains(tasks, motion_minutes, threads)
+    if teacher is not None:
         phases.append(plan.plan_teacher(teacher, seconds, motion_minutes, threads))
-    if preset in STUDENTS:
-        student = STUDENTS[preset]
+    if student is not None:
         phases += plan.plan_student(student, seconds, motion_minutes, threads)
     available = plan.machine_memory_mb()
     _print_plan(phases, available)

@@ -36,10 +36,12 @@ from openclone.training.presets import (
     TeacherPreset,
 )
 from openclone.training.progress import Budget, Progress
-from openclone.training.regulator import DEVIATION_SIZE
+from openclone.training.reference import generalized_velocities
+from openclone.training.regulator import DEVIATION_SIZE, Motion, regulate
 from openclone.training.student import StudentEnvironment, StudentTrainer
 from openclone.training.task_config import TaskConfig
 from openclone.training.teacher import TeacherEnvironment, TeacherTrainer
+from openclone.training.terrain import build_training_model
 
 MEASURED_ROBOTS = 256
 """At most so many robots take part in the measurement."""
@@ -47,6 +49,8 @@ _FRAME_BYTES = 8 * (36 + 35) + 4 * (2 * 29 + 14 * 13 + 29 + 6) + 16
 """Of the reference tables, per frame."""
 _GAIN_BYTES = 2 * g1.NUM_JOINTS * (DEVIATION_SIZE + 1)
 """Of the feedback gains, per frame."""
+_WORKER_BYTES = 100 * 2**20
+"""A process that computes gains."""
 _WORKING_BYTES = 700 * 2**20
 """Python, torch and MuJoCo themselves."""
 
@@ -56,9 +60,9 @@ class PhasePlan:
     """The cost of one phase.
 
     Attributes:
-        phase: teacher, DAgger or PPO on the student.
+        phase: feedback gains, teacher, DAgger or PPO on the student.
         robots: simulated together.
-        steps_per_s: control steps per second, measured.
+        steps_per_s: control steps per second, measured; of gains, frames.
         steps: control steps in all.
         iterations: collections and updates in all.
         minutes: wall time.
@@ -72,6 +76,29 @@ class PhasePlan:
     iterations: float
     minutes: float
     memory_mb: float
+
+
+def plan_gains(
+    tasks: list[TaskConfig], motion_minutes: float, threads: int | None
+) -> list[PhasePlan]:
+    """Measure the gains of one short motion, if any of ``tasks`` needs gains.
+
+    They are computed once for all phases; those in the cache cost nothing.
+    """
+    if all(task.guidance != "feedback" for task in tasks):
+        return []
+    model, qpos = build_training_model(), waving().qpos
+    motion = Motion(qpos, generalized_velocities(model, qpos), qpos[:, 7:])
+    start = time.perf_counter()
+    regulate(model, motion)
+    cores = threads or os.cpu_count() or 1
+    rate = cores * len(motion) / (time.perf_counter() - start)
+    frames = motion_minutes * 60 * 50
+    memory = _WORKING_BYTES + cores * _WORKER_BYTES + frames * _GAIN_BYTES
+    minutes = frames / rate / 60
+    memory_mb = memory / 2**20
+    phase = "feedback gains"
+    return [PhasePlan(phase, cores, rate, frames, frames, minutes, memory_mb)]
 
 
 def plan_teacher(
