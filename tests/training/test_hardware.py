@@ -16,7 +16,7 @@ from openclone.motion.clip import save_clip
 from openclone.training import student as student_module
 from openclone.training.checkpoint import load_checkpoint, save_checkpoint
 from openclone.training.data import load_reference
-from openclone.training.hardware import Hardware
+from openclone.training.hardware import Hardware, on_one_thread
 from openclone.training.presets import STUDENTS, TEACHERS
 from openclone.training.student import train_student
 from openclone.training.teacher import train_teacher
@@ -178,3 +178,25 @@ def test_checkpoints_hold_plain_cpu_tensors(tmp_path):
     found = load_checkpoint(tmp_path / "x.pt")
     assert found["b"] == {"c": (1, "x")}
     assert not found["a"][0].requires_grad
+
+
+def test_small_operations_run_on_one_thread_and_others_as_before():
+    inside = []
+
+    @on_one_thread
+    def work(fails: bool) -> str:
+        inside.append(torch.get_num_threads())
+        if fails:
+            raise ValueError("no")
+        return "done"
+
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    try:
+        assert work(False) == "done"
+        with pytest.raises(ValueError, match="no"):
+            work(True)
+        assert torch.get_num_threads() == 2
+    finally:
+        torch.set_num_threads(before)
+    assert inside == [1, 1]

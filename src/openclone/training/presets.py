@@ -94,7 +94,7 @@ _QUICKSTART_TASK = TaskConfig(
     standing_share=0.1,
 )
 _FAST_PPO = PpoConfig(
-    steps=24, epochs=4, minibatches=4, kl=0.03, slowest=1e-5, fastest=5e-4, entropy=0.0
+    steps=24, epochs=3, minibatches=3, kl=0.03, slowest=1e-5, fastest=5e-4, entropy=0.0
 )
 _QUICKSTART_PPO = PpoConfig(
     steps=16,

@@ -15,6 +15,7 @@ from openclone.robot.model import CONTROL_PERIOD, SensorLayout
 from openclone.robot.state import RobotState, read_state
 from openclone.training.births import displace, to_standing
 from openclone.training.feedback import corrections, deviation
+from openclone.training.hardware import on_one_thread
 from openclone.training.physics import Physics
 from openclone.training.randomization import ActionPath, RobotFactory
 from openclone.training.reference import ReferenceMotions
@@ -173,6 +174,7 @@ class TrackingTask:
             self._correction = corrections(gains.index_select(0, self.frame), away)
         return self._correction
 
+    @on_one_thread
     def teacher_observation(self) -> torch.Tensor:
         """(n, d): the privileged observation of section 3.1, and the preview."""
         following, reference = self.next_frame(), self.next_reference()
@@ -196,6 +198,7 @@ class TrackingTask:
 
     # Stepping ------------------------------------------------------------------------
 
+    @on_one_thread
     def step(self, targets: torch.Tensor) -> StepResult:
         """Advance one control period towards ``targets (n, 29)``, then reset the dead.
 
