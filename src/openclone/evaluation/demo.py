@@ -37,6 +37,8 @@ from openclone.teleop.session import SessionConfig, SessionResult, run_teleop
 CATEGORIES = ("wave", "forward", "turn", "reach", "squat", "stepside", "backward")
 SEED = 20_000
 """Far from the seeds of the training motions: the robot has never seen these."""
+PACE = 0.7
+"""Of the walks; the governor holds back operators who are faster."""
 MAX_SECONDS = 75.0
 FILM_SECONDS = 36.0
 
@@ -73,7 +75,7 @@ def demo_clips(seed: int = SEED) -> list[Clip]:
     clips = []
     for index, category in enumerate(CATEGORIES):
         rng = np.random.default_rng([seed, index])
-        clips.append(generate(category, rng, f"demo/{category}"))
+        clips.append(generate(category, rng, f"demo/{category}", pace=PACE))
     return clips
 
 
