@@ -93,8 +93,17 @@ _QUICKSTART_TASK = TaskConfig(
     displaced_share=0.2,
     standing_share=0.1,
 )
+# Much noise at first: with little, a step within the KL budget is tiny.
 _FAST_PPO = PpoConfig(
-    steps=24, epochs=3, minibatches=3, kl=0.03, slowest=1e-5, fastest=5e-4, entropy=0.0
+    steps=24,
+    epochs=3,
+    minibatches=3,
+    slowest=1e-5,
+    kl=0.06,
+    final_kl=0.02,
+    entropy=0.0,
+    initial_std=0.35,
+    final_std=0.12,
 )
 _QUICKSTART_PPO = PpoConfig(
     steps=16,
