@@ -172,6 +172,8 @@ def _reach_drop(
 
 _SQUAT_BACK, _SQUAT_UP = 0.2, 0.3
 """Metres; a squatting pelvis moves back at most this far, then up."""
+_HOLD_S = 0.06
+"""Seconds by which a move begins early and ends late."""
 _RISE_S = 0.3
 """Seconds over which a move up is spread: at the bottom of a quick squat a shorter one
 throws the pelvis up and down again faster than gravity allows."""
@@ -205,14 +207,14 @@ def _fit_squat(
         ]
         return _held_over(np.max(shares, axis=0), seconds)
 
-    back = _SQUAT_BACK * needed((-_SQUAT_BACK, 0.0), 0.06)
+    back = _SQUAT_BACK * needed((-_SQUAT_BACK, 0.0), _HOLD_S)
     legs = [leg - np.stack((back, 0.0 * back), axis=1) for leg in legs]
     up = _SQUAT_UP * needed((0.0, _SQUAT_UP), _RISE_S)
     heading = rotations.heading(quat)
     return rotations.rotate(heading, np.stack((-back, 0.0 * back, up), axis=1))
 
 
-def _held_over(need: np.ndarray, seconds: float = 0.06) -> np.ndarray:
+def _held_over(need: np.ndarray, seconds: float = _HOLD_S) -> np.ndarray:
     """``need (T,)``, smoothed without ever falling below itself by much."""
     reach = round(seconds * FPS)
     padded = np.pad(need, reach, mode="edge")
