@@ -10,6 +10,7 @@ from rsl_rl.storage import RolloutStorage
 from tensordict import TensorDict
 from torch import nn
 
+from openclone.policy import linear
 from openclone.policy.linear import Linear, quicken
 from openclone.policy.normalization import Normalization
 from openclone.training.ppo import PpoConfig, build_ppo, fuse, mlp_model
@@ -17,6 +18,12 @@ from openclone.training.storage import Rollouts
 
 ROBOTS, STEPS, SIZE = 32, 6, 40
 CONFIG = PpoConfig(steps=STEPS, epochs=3, minibatches=4, hidden=(48, 24))
+
+
+@pytest.fixture
+def exact(monkeypatch):
+    """Gradients in 32 bits, whatever the processor."""
+    monkeypatch.setattr(linear, "GRADIENT_TYPE", torch.float32)
 
 
 def layers() -> tuple[nn.Linear, Linear]:
@@ -27,7 +34,7 @@ def layers() -> tuple[nn.Linear, Linear]:
 
 
 @pytest.mark.parametrize("rows", [1, 2, 33])
-def test_linear_is_linear_with_its_gradients(rows):
+def test_linear_is_linear_with_its_gradients(rows, exact):
     results = []
     for layer in layers():
         torch.manual_seed(1)
@@ -39,7 +46,22 @@ def test_linear_is_linear_with_its_gradients(rows):
         torch.testing.assert_close(found, expected, atol=1e-5, rtol=1e-5)
 
 
-def test_linear_is_differentiable_twice():
+def test_gradients_of_short_numbers_are_nearly_the_same(monkeypatch):
+    results = []
+    for kind in (torch.float32, torch.bfloat16):
+        monkeypatch.setattr(linear, "GRADIENT_TYPE", kind)
+        layer = layers()[1]
+        torch.manual_seed(1)
+        inputs = torch.randn(400, 17, requires_grad=True)
+        layer(inputs).square().sum().backward()
+        results.append((inputs.grad, layer.weight.grad, layer.bias.grad))
+    for exactly, roughly in zip(*results, strict=True):
+        assert roughly.dtype == torch.float32
+        assert (roughly - exactly).norm() <= 5e-3 * exactly.norm()
+    assert not torch.equal(results[0][1], results[1][1])
+
+
+def test_linear_is_differentiable_twice(exact):
     """As the gradient penalty of AMP needs it."""
     results = []
     for layer in layers():
@@ -155,7 +177,7 @@ def iteration(ppo: PPO) -> dict[str, float]:
     return ppo.update()
 
 
-def test_an_iteration_of_ppo_learns_what_rsl_rl_learns():
+def test_an_iteration_of_ppo_learns_what_rsl_rl_learns(exact):
     torch.manual_seed(0)
     actor = mlp_model(example(), "teacher", 29, CONFIG)
     critic = mlp_model(example(), "teacher", 1, CONFIG)

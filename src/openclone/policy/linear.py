@@ -3,6 +3,10 @@
 PyTorch hands products of 32-bit matrices to MKL, which leaves half of the vector units
 of processors not made by Intel idle: 90 instead of 200 GFLOP/s on one core of an AMD
 EPYC. oneDNN, which PyTorch brings along, uses them. Results agree up to rounding.
+
+Where the processor multiplies 16-bit floats (bfloat16) twice as fast, gradients are
+products of such numbers, summed in 32 bits: they are off by about one part in 2000,
+which is nothing beside what a batch of samples leaves unknown.
 """
 
 from __future__ import annotations
@@ -15,6 +19,10 @@ from torch import nn
 _AVAILABLE = torch.backends.mkldnn.is_available() and hasattr(  # type: ignore[attr-defined]
     torch.ops.mkldnn, "_linear_pointwise"
 )
+
+_supports_bfloat16 = getattr(torch.cpu, "_is_avx512_bf16_supported", lambda: False)
+GRADIENT_TYPE = torch.bfloat16 if _supports_bfloat16() else torch.float32
+"""Of the numbers that gradients are products of."""
 
 
 class _Product(torch.autograd.Function):
@@ -37,9 +45,14 @@ class _Product(torch.autograd.Function):
     ) -> tuple[torch.Tensor | None, ...]:
         a, b = ctx.saved_tensors
         needs_a, needs_b, needs_bias = ctx.needs_input_grad
+        short = slope.to(GRADIENT_TYPE)
+
+        def product(x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
+            return _Product.apply(x, y.to(GRADIENT_TYPE), None).to(slope.dtype)
+
         return (
-            _Product.apply(slope, b.t(), None) if needs_a else None,
-            _Product.apply(slope.t(), a.t(), None) if needs_b else None,
+            product(short, b.t()) if needs_a else None,
+            product(short.t(), a.t()) if needs_b else None,
             slope.sum(0) if needs_bias else None,
         )
 

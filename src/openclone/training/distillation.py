@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import math
-from collections import deque
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +14,8 @@ from torch import nn
 
 from openclone.policy.moe import balance_loss
 from openclone.policy.student import StudentModel
-from openclone.training.guard import NanGuard, Tensors
+from openclone.training.demonstrations import Demonstrations
+from openclone.training.guard import NanGuard
 from openclone.training.presets import DistillationConfig
 from openclone.training.progress import Progress
 from openclone.training.student_view import StudentView
@@ -58,12 +58,12 @@ class Dagger:
         )
         self.average = copy.deepcopy(student.mlp).requires_grad_(False)
         self.averaged_steps = 0
-        self._buffer: deque[tuple[torch.Tensor, torch.Tensor]] = deque(
-            maxlen=config.kept_rounds
+        self.demonstrations = Demonstrations(
+            config.kept_rounds, config.steps, view.observe(), rng
         )
         self._rng = rng
-        networks = {"student": student.mlp}
-        self._guard = NanGuard(folder, view.task, networks, self._last_round)
+        networks, dump = {"student": student.mlp}, self.demonstrations.newest
+        self._guard = NanGuard(folder, view.task, networks, dump)
         self._weight = view.task.action_scale / _UNIT
         self._tally = Tally(view.task)
 
@@ -75,19 +75,12 @@ class Dagger:
         )
         return self.view.to_action(task.residual_to_target(self.teacher(group)))
 
-    def _last_round(self) -> Tensors:
-        """Inputs and labels of the newest round."""
-        if not self._buffer:
-            return {}
-        inputs, labels = self._buffer[-1]
-        return {"observations": inputs, "labels": labels}
-
     @torch.no_grad()
     def collect(self, progress: Progress) -> None:
         """One round of roll-outs; the teacher's share of control falls to zero."""
         share = max(0.0, 1.0 - self.rounds / self.config.teacher_share_rounds)
-        observations, labels = [], []
         self.student.train()
+        self.demonstrations.begin(self.view.observe())
         count, device = self.view.task.num_envs, self.view.task.device
         for _ in range(self.config.steps):
             inputs, label = self.view.observe(), self.label()
@@ -96,13 +89,12 @@ class Dagger:
             by_teacher = torch.from_numpy(self._rng.random((count, 1)) < share)
             action = torch.where(by_teacher.to(device), label, own)
             result = self.view.step(action)
-            observations.append(inputs)
-            labels.append(label)
+            self.demonstrations.add(inputs, label, result.ended.to(device))
             progress.steps += count
             self._tally.add(result, gap=(self._weight * (own - label)).abs().mean())
         self._tally.report(progress)
-        self._buffer.append((torch.cat(observations), torch.cat(labels)))
-        self._guard.check_observations(self._buffer[-1], progress.steps)
+        newest = self.demonstrations.newest().values()
+        self._guard.check_observations(newest, progress.steps)
         self.rounds += 1
 
     def update(self, progress: Progress) -> None:
@@ -112,17 +104,9 @@ class Dagger:
         rate = config.learning_rate * (1.0 - 0.8 * share)
         for group in self.optimizer.param_groups:
             group["lr"] = rate
-        rounds = len(self._buffer)
         losses: dict[str, float] = {}
         for _ in range(config.updates):
-            per_round = config.batch // rounds
-            parts = [
-                (inputs.index_select(0, index), labels.index_select(0, index))
-                for inputs, labels in self._buffer
-                for index in [self._draw(len(inputs), per_round)]
-            ]
-            inputs = torch.cat([part[0] for part in parts])
-            labels = torch.cat([part[1] for part in parts])
+            inputs, labels = self.demonstrations.draw(config.batch)
             own, routing = self.student.with_routing(inputs)
             error = self._weight * (own - labels)
             imitation = error.square().sum(-1).mean()
@@ -142,11 +126,6 @@ class Dagger:
             progress.add(**losses, **router_usage(routing))
         self._guard.check(losses, progress.steps)
         progress.iterations += 1
-
-    def _draw(self, below: int, count: int) -> torch.Tensor:
-        """``(count,)`` rows of a round, on the task's device."""
-        drawn = torch.from_numpy(self._rng.integers(0, below, count))
-        return drawn.to(self.view.task.device)
 
     @torch.no_grad()
     def _average(self) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
 import functools
 import os
 from collections.abc import Callable
@@ -38,6 +40,24 @@ def on_one_thread(
             torch.set_num_threads(before)
 
     return quicker
+
+
+_TRIM_THRESHOLD, _TOP_PAD, _MMAP_THRESHOLD = -1, -2, -3
+"""glibc's names of what `mallopt` sets, as in its malloc.h."""
+
+
+def keep_memory() -> None:
+    """Let the C library keep the memory of tensors that are gone; on glibc alone.
+
+    It would give blocks of megabytes back to the system at once and get them again,
+    page by page, for the next tensor: drawing a batch of students' inputs took 17
+    instead of 3 ms.
+    """
+    with contextlib.suppress(OSError, AttributeError):
+        libc = ctypes.CDLL(None)
+        libc.mallopt(_MMAP_THRESHOLD, 32 << 20)
+        libc.mallopt(_TRIM_THRESHOLD, 2**31 - 1)
+        libc.mallopt(_TOP_PAD, 64 << 20)
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,7 @@ from torch import nn
 from openclone.motion.clip import Clip, ClipInfo, clip_from_qpos
 from openclone.robot import g1
 from openclone.robot.model import SUBSTEPS, build_model, standing_qpos
+from openclone.training.demonstrations import round_bytes
 from openclone.training.distillation import Dagger, distill
 from openclone.training.ppo import (
     PpoConfig,
@@ -148,11 +149,9 @@ def _plan_dagger(
     dagger = Dagger(view, teacher, trainer.student, _scaled(preset), rng, folder)
     rate = _rate(lambda progress: distill(dagger, progress), seconds)
     robots = preset.task.num_envs
-    sample = view.observe().shape[1] + g1.NUM_JOINTS
-    # The buffer, one more round while it is put together, and one batch.
-    rows = (config.kept_rounds + 1) * config.steps * robots + 3 * config.batch
-    memory = 4 * rows * sample + _network_bytes(trainer.student)
-    memory += _robot_bytes(preset.task) + data
+    memory = config.kept_rounds * round_bytes(robots, config.steps, preset.history)
+    memory += 4 * 3 * config.batch * view.observe().shape[1]
+    memory += _network_bytes(trainer.student) + _robot_bytes(preset.task) + data
     bounds = Budget(preset.minutes, preset.iterations)
     return _phase("student, DAgger", robots, config.steps, rate, bounds, memory)
 

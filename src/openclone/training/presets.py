@@ -82,15 +82,14 @@ _FAST_TASK = TaskConfig(
     push_speed=0.5,
     standing_share=0.05,
 )
-# Feedback would hold the teacher to feet that glide.
-_QUICKSTART_DATA = DataChoice(categories=_WALKING, commands=False, mirror=False)
+_QUICKSTART_DATA = DataChoice(categories=_WALKING)
 _QUICKSTART_TASK = TaskConfig(
     num_envs=512,
-    guidance="feedback",
+    episode_steps=250,
     limits=_BEFORE_THE_FALL,
     failure_share=0.5,
     push_speed=0.5,
-    displaced_share=0.2,
+    displaced_share=0.1,
     standing_share=0.1,
 )
 # Much noise at first: with little, a step within the KL budget is tiny.
@@ -105,18 +104,14 @@ _FAST_PPO = PpoConfig(
     initial_std=0.35,
     final_std=0.12,
 )
-_QUICKSTART_PPO = PpoConfig(
+_QUICKSTART_PPO = replace(
+    _FAST_PPO,
     steps=16,
     epochs=4,
-    minibatches=8,
+    minibatches=2,
     learning_rate=1e-3,
-    slowest=2e-5,
-    fastest=1e-3,
-    kl=0.05,
-    final_kl=0.02,
-    entropy=0.0,
-    initial_std=0.2,
-    final_std=0.1,
+    initial_std=0.5,
+    final_std=0.15,
 )
 
 
@@ -160,7 +155,7 @@ class DistillationConfig:
     """
 
     steps: int = 20
-    kept_rounds: int = 20
+    kept_rounds: int = 200
     updates: int = 12
     batch: int = 1500
     learning_rate: float = 6e-4
@@ -272,7 +267,7 @@ TEACHERS = {
         amp=AmpConfig(),
     ),
     "quickstart": TeacherPreset(
-        minutes=8.0,
+        minutes=13.0,
         data=_QUICKSTART_DATA,
         task=_QUICKSTART_TASK,
         ppo=_QUICKSTART_PPO,
@@ -316,11 +311,8 @@ STUDENTS = {
         ),
     ),
     "quickstart": StudentPreset(
-        minutes=20.0,
-        tuning_minutes=0.0,
+        minutes=22.0,
         teacher="quickstart",
-        task=replace(_STUDENT_TASK, guidance="feedback"),
-        tuning_task=replace(_TUNING_TASK, guidance="feedback"),
         data=_QUICKSTART_DATA,
     ),
     "smoke": StudentPreset(

@@ -23,7 +23,7 @@ from openclone.training.checkpoint import (
 )
 from openclone.training.data import load_reference, make_task
 from openclone.training.distillation import Dagger, distill, router_usage
-from openclone.training.hardware import Hardware
+from openclone.training.hardware import Hardware, keep_memory
 from openclone.training.ppo import AfterUpdate, build_ppo, learn, resume_ppo
 from openclone.training.presets import StudentPreset
 from openclone.training.progress import Budget, Progress, Trained
@@ -82,6 +82,7 @@ class StudentTrainer:
         hardware: Hardware | None = None,
     ) -> None:
         """Build the reference and an untrained student."""
+        keep_memory()
         torch.manual_seed(seed)
         chosen = preset.select(clips)
         self.preset, self.out, self.seed = preset, out, seed

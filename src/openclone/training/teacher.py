@@ -24,7 +24,7 @@ from openclone.training.checkpoint import (
 )
 from openclone.training.data import load_reference, make_task
 from openclone.training.distributed import joined, team
-from openclone.training.hardware import Hardware
+from openclone.training.hardware import Hardware, keep_memory
 from openclone.training.ppo import PpoConfig, build_ppo, learn, mlp_model, resume_ppo
 from openclone.training.presets import TeacherPreset
 from openclone.training.progress import Budget, Progress, Trained
@@ -80,6 +80,7 @@ class TeacherTrainer:
         # Processes that train together begin with the networks of process 0, but
         # must not all collect the same data.
         seed += team().rank * _SEEDS_APART
+        keep_memory()
         torch.manual_seed(seed)
         chosen = preset.select(clips)
         self.preset = preset
