@@ -82,14 +82,15 @@ _FAST_TASK = TaskConfig(
     push_speed=0.5,
     standing_share=0.05,
 )
-_QUICKSTART_DATA = DataChoice(categories=_WALKING)
+# Feedback would hold the teacher to feet that glide.
+_QUICKSTART_DATA = DataChoice(categories=_WALKING, commands=False, mirror=False)
 _QUICKSTART_TASK = TaskConfig(
     num_envs=512,
-    episode_steps=250,
+    guidance="feedback",
     limits=_BEFORE_THE_FALL,
     failure_share=0.5,
     push_speed=0.5,
-    displaced_share=0.1,
+    displaced_share=0.2,
     standing_share=0.1,
 )
 # Much noise at first: with little, a step within the KL budget is tiny.
@@ -104,14 +105,18 @@ _FAST_PPO = PpoConfig(
     initial_std=0.35,
     final_std=0.12,
 )
-_QUICKSTART_PPO = replace(
-    _FAST_PPO,
+_QUICKSTART_PPO = PpoConfig(
     steps=16,
     epochs=4,
-    minibatches=2,
+    minibatches=8,
     learning_rate=1e-3,
-    initial_std=0.5,
-    final_std=0.15,
+    slowest=2e-5,
+    fastest=1e-3,
+    kl=0.05,
+    final_kl=0.02,
+    entropy=0.0,
+    initial_std=0.2,
+    final_std=0.1,
 )
 
 
@@ -267,7 +272,7 @@ TEACHERS = {
         amp=AmpConfig(),
     ),
     "quickstart": TeacherPreset(
-        minutes=13.0,
+        minutes=8.0,
         data=_QUICKSTART_DATA,
         task=_QUICKSTART_TASK,
         ppo=_QUICKSTART_PPO,
@@ -311,8 +316,11 @@ STUDENTS = {
         ),
     ),
     "quickstart": StudentPreset(
-        minutes=22.0,
+        minutes=28.0,
+        tuning_minutes=0.0,
         teacher="quickstart",
+        task=replace(_STUDENT_TASK, guidance="feedback"),
+        tuning_task=replace(_TUNING_TASK, guidance="feedback"),
         data=_QUICKSTART_DATA,
     ),
     "smoke": StudentPreset(
