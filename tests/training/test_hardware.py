@@ -1,6 +1,7 @@
 """Devices and back-ends: one code for all, and nothing needed that a GPU lacks."""
 
 import ast
+import platform
 import subprocess
 import sys
 from dataclasses import replace
@@ -200,3 +201,24 @@ def test_small_operations_run_on_one_thread_and_others_as_before():
     finally:
         torch.set_num_threads(before)
     assert inside == [1, 1]
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="a setting of glibc")
+@pytest.mark.parametrize(("keep", "given_back"), [("", True), ("keep_memory()", False)])
+def test_freed_memory_is_kept_for_the_next_tensor(keep, given_back):
+    code = (
+        "import torch\n"
+        "from openclone.training.hardware import keep_memory\n"
+        "def held():\n"
+        "    pages = int(open('/proc/self/statm').read().split()[1])\n"
+        "    return pages * 4096\n"
+        f"{keep}\n"
+        "tensor = torch.ones(4_000_000)\n"
+        "before = held()\n"
+        "del tensor\n"
+        "print(before - held() > 8_000_000)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=120
+    )
+    assert done.stdout.split() == [str(given_back)], done.stderr
