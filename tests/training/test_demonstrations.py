@@ -39,7 +39,6 @@ def recorded(rounds, kept):
     demonstrations = Demonstrations(kept, STEPS, students.observe(), RNG)
     ends = {2: [0], 3: [0, 2], 7: [1], 9: [0, 1, 2]}
     for number in range(rounds):
-        demonstrations.begin(students.observe())
         for step in range(STEPS):
             inputs, labels = students.observe(), students.noise(29)
             ended = torch.tensor(ends.get(number * STEPS + step, []), dtype=torch.long)
@@ -76,7 +75,6 @@ def test_newest_grows_with_the_round():
     students = Students()
     demonstrations = Demonstrations(2, STEPS, students.observe(), RNG)
     assert demonstrations.newest() == {}
-    demonstrations.begin(students.observe())
     none = torch.zeros(0, dtype=torch.long)
     demonstrations.add(students.observe(), students.noise(29), none)
     shapes = {k: tuple(v.shape) for k, v in demonstrations.newest().items()}

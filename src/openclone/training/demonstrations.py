@@ -45,11 +45,11 @@ class Demonstrations:
         self._oldest = torch.zeros(
             rounds, steps, robots, dtype=torch.int16, device=self.device
         )
-        self._begun = 0
-        self._step = 0
+        self._born = torch.zeros_like(self._oldest[0, 0])
+        self._begun, self._step = 0, steps
 
-    def begin(self, inputs: torch.Tensor) -> None:
-        """Begin a round in place of the oldest; ``inputs`` as the students see now."""
+    def _begin(self, inputs: torch.Tensor) -> None:
+        """Begin a round in place of the oldest."""
         past = inputs[:, TASK_SIZE + FRAME_SIZE :]
         past = past.reshape(self.robots, self.history - 1, FRAME_SIZE)
         place = self._begun % self.rounds
@@ -60,13 +60,15 @@ class Demonstrations:
     def add(
         self, inputs: torch.Tensor, labels: torch.Tensor, ended: torch.Tensor
     ) -> None:
-        """Take in a step of the round.
+        """Take in a step; after ``steps`` of them a new round begins.
 
         Args:
             inputs: (n, 51 + H * 93), what the students saw.
             labels: (n, 29), the teacher's actions.
             ended: ids of the robots that begin anew after this step.
         """
+        if self._step == self.steps:
+            self._begin(inputs)
         place, step = (self._begun - 1) % self.rounds, self._step
         self._tasks[place, step] = inputs[:, :TASK_SIZE]
         newest = self.history - 1 + step

@@ -24,11 +24,10 @@ from openclone.training.teacher import GROUP as TEACHER
 
 _UNIT = 0.45
 """Radians; typical action scale, makes the loss comparable to actions squared."""
-_ROUND = 0.01
-"""Squared actions; smaller errors count by their squares, larger ones by their size.
+_KNEE = 0.1
+"""Actions; smaller errors count by their squares, larger ones by their size.
 
-A tenth of the samples, from where the teacher walks out of step with the student, made
-more than half of the squared errors: half of what was learned came from what cannot be.
+A tenth of the samples made more than half of the squared errors.
 """
 _RATE_STEPS = 20
 """The learning rate falls in this many steps, so that wall time decides little."""
@@ -86,7 +85,6 @@ class Dagger:
         """One round of roll-outs; the teacher's share of control falls to zero."""
         share = max(0.0, 1.0 - self.rounds / self.config.teacher_share_rounds)
         self.student.train()
-        self.demonstrations.begin(self.view.observe())
         count, device = self.view.task.num_envs, self.view.task.device
         for _ in range(self.config.steps):
             inputs, label = self.view.observe(), self.label()
@@ -115,7 +113,7 @@ class Dagger:
             inputs, labels = self.demonstrations.draw(config.batch)
             own, routing = self.student.with_routing(inputs)
             error = self._weight * (own - labels)
-            imitation = (error.square().sum(-1) + _ROUND).sqrt().mean()
+            imitation = (error.square().sum(-1) + _KNEE**2).sqrt().mean()
             balance = balance_loss(routing)
             loss = imitation + config.balance * balance
             self.optimizer.zero_grad()
