@@ -238,8 +238,10 @@ def collect(
         action = ppo.act(observations)
         result = env.step(action.clamp(-10, 10))
         observations = env.observe()
-        extras = {"time_outs": result.timed_out}
-        ppo.process_env_step(observations, result.reward, result.done, extras)
+        # Nothing that was done before a push is to blame for what comes after it.
+        cut = result.timed_out | result.pushed
+        extras = {"time_outs": cut}
+        ppo.process_env_step(observations, result.reward, result.done | cut, extras)
         progress.steps += env.num_envs * team().size
         tally.add(result)
     tally.report(progress)

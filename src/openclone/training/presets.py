@@ -79,7 +79,8 @@ _FAST_TASK = TaskConfig(
     episode_steps=250,
     limits=_BEFORE_THE_FALL,
     failure_share=0.7,
-    push_speed=0.5,
+    push_speed=1.2,
+    push_interval=4.0,
     standing_share=0.05,
 )
 # Feedback would hold the teacher to feet that glide.
@@ -173,7 +174,8 @@ class DistillationConfig:
 _STUDENT_TASK = TaskConfig(
     limits=_BEFORE_THE_FALL,
     failure_share=0.3,
-    push_speed=0.5,
+    push_speed=1.2,
+    push_interval=4.0,
     displaced_share=0.05,
     standing_share=0.08,
     recorded_weight=2.0,
@@ -319,7 +321,9 @@ STUDENTS = {
         minutes=28.0,
         tuning_minutes=0.0,
         teacher="quickstart",
-        task=replace(_STUDENT_TASK, guidance="feedback"),
+        task=replace(
+            _STUDENT_TASK, guidance="feedback", push_speed=0.5, push_interval=5.0
+        ),
         tuning_task=replace(_TUNING_TASK, guidance="feedback"),
         data=_QUICKSTART_DATA,
     ),

@@ -40,6 +40,7 @@ class StepResult:
         reward: (n,).
         terminated: (n,) bool, failed.
         timed_out: (n,) bool, episode or clip over without failure.
+        pushed: (n,) bool, robots that were pushed before the step.
         terms: mean of each reward term, per second, scalars.
         error: metres, mean key-body error in the world, a scalar.
         category: (n,), number of the motion category that each robot was tracking.
@@ -49,6 +50,7 @@ class StepResult:
     reward: torch.Tensor
     terminated: torch.Tensor
     timed_out: torch.Tensor
+    pushed: torch.Tensor
     terms: dict[str, torch.Tensor]
     error: torch.Tensor
     category: torch.Tensor
@@ -210,7 +212,7 @@ class TrackingTask:
         previous_action = self.action
         self.action = (targets - self.base_targets()) / self.action_scale
         before = self._state
-        self._push()
+        pushed = self._push()
         self.physics.step(self._path(targets))
         self.jump_to(following)
         self.age += 1
@@ -250,6 +252,7 @@ class TrackingTask:
             reward=reward,
             terminated=terminated,
             timed_out=timed_out,
+            pushed=pushed,
             terms=dict(zip(terms, means, strict=True)),
             error=error.mean(),
             category=category,
@@ -268,14 +271,17 @@ class TrackingTask:
             bodies -= self._origin
         self._state = read_state(self._layout, qpos, qvel, sensordata)
 
-    def _push(self) -> None:
-        """Kick some robots sideways (Table A2, push robot)."""
+    def _push(self) -> torch.Tensor:
+        """Kick some robots sideways (Table A2, push robot); which ones, (n,) bool."""
         chance = CONTROL_PERIOD / self.config.push_interval
-        ids = np.flatnonzero(self._rng.random(self.num_envs) < chance)
-        if len(ids) and self.config.push_speed > 0:
+        chosen = self._rng.random(self.num_envs) < chance
+        chosen &= self.config.push_speed > 0
+        ids = np.flatnonzero(chosen)
+        if len(ids):
             kick = np.zeros((len(ids), 3))
             kick[:, :2] = self._rng.uniform(-1, 1, (len(ids), 2))
             self.physics.push(ids, kick * self.config.push_speed)
+        return torch.from_numpy(chosen).to(self.device)
 
     def _failed(self, tracking: TrackingState) -> torch.Tensor:
         """(n,) bool: beyond the termination limits."""
