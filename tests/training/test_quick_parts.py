@@ -23,7 +23,7 @@ CONFIG = PpoConfig(steps=STEPS, epochs=3, minibatches=4, hidden=(48, 24))
 @pytest.fixture
 def exact(monkeypatch):
     """Gradients in 32 bits, whatever the processor."""
-    monkeypatch.setattr(linear, "GRADIENT_TYPE", torch.float32)
+    monkeypatch.setattr(linear, "SHORT", torch.float32)
 
 
 def layers() -> tuple[nn.Linear, Linear]:
@@ -49,7 +49,7 @@ def test_linear_is_linear_with_its_gradients(rows, exact):
 def test_gradients_of_short_numbers_are_nearly_the_same(monkeypatch):
     results = []
     for kind in (torch.float32, torch.bfloat16):
-        monkeypatch.setattr(linear, "GRADIENT_TYPE", kind)
+        monkeypatch.setattr(linear, "SHORT", kind)
         layer = layers()[1]
         torch.manual_seed(1)
         inputs = torch.randn(400, 17, requires_grad=True)
@@ -84,7 +84,7 @@ def test_linear_takes_what_onednn_does_not():
     assert Linear(3, 2, device="meta")(torch.empty(5, 3, device="meta")).shape == (5, 2)
 
 
-def test_quickened_layers_keep_their_parameters():
+def test_quickened_layers_keep_their_parameters(exact):
     net = nn.Sequential(nn.Linear(4, 3), nn.ELU(), nn.Linear(3, 2))
     inputs, before = torch.randn(6, 4), list(net.parameters())
     expected = net(inputs)

@@ -71,7 +71,7 @@ def train_teacher(
     start: Path | None = None,
     seed: int = 0,
     threads: int | None = None,
-    physics: str = "threaded",
+    physics: str = "auto",
     device: str = "cpu",
     model: Path | None = None,
 ) -> None:
@@ -88,8 +88,9 @@ def train_teacher(
         start: begin with the networks of this checkpoint, with a fresh budget.
         seed: of all randomness.
         threads: CPU threads; all cores by default.
-        physics: threaded (MuJoCo on the CPU's cores) or warp (MuJoCo Warp, on the
-            device).
+        physics: lanes (sixteen robots at a time on each core; needs a C compiler),
+            threaded (MuJoCo on the cores), warp (MuJoCo Warp, on the device), or auto:
+            lanes where they are possible, else threaded.
         device: of task, networks and physics "warp": cpu, cuda or cuda:<number>.
         model: the robot as written by `openclone train model`, where mjlab is missing.
     """
@@ -147,7 +148,7 @@ def train_student(
     start: Path | None = None,
     seed: int = 0,
     threads: int | None = None,
-    physics: str = "threaded",
+    physics: str = "auto",
     device: str = "cpu",
     model: Path | None = None,
 ) -> None:

@@ -25,4 +25,4 @@ class Normalization(EmpiricalNormalization):
         step = mean - self._mean
         self._mean += rate * step
         self._var += rate * (variance - self._var + step * (mean - self._mean))
-        self._std = self._var.sqrt()
+        torch.sqrt(self._var, out=self._std)

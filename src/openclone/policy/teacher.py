@@ -1,17 +1,26 @@
-"""What the privileged teacher sees (section 3.1)."""
+"""What the privileged teacher sees (section 3.1).
+
+Either the whole reference motion, or only what the student is told of it: then teacher
+and student have the same task, and nothing that the teacher does depends on a gait
+phase that the student cannot see.
+"""
 
 from __future__ import annotations
 
 import torch
 
+from openclone.policy import observation
+from openclone.policy.command import Command, KeyPoints
 from openclone.policy.constants import Constant
-from openclone.policy.observation import gravity_b
+from openclone.policy.observation import TASK_SIZE, gravity_b
 from openclone.robot import g1
-from openclone.robot.state import RobotState
+from openclone.robot.state import RobotState, key_point_poses, key_point_velocities
 from openclone.spatial import rotations
 
 TEACHER_SIZE = 5 * g1.NUM_JOINTS + 9 * len(g1.KEY_BODIES) + 33
 """Values of the observation as the paper lists it."""
+COMMAND_SIZE = TASK_SIZE + 3 * g1.NUM_JOINTS + 28
+"""Values of the observation without the reference."""
 PREVIEW_SIZE = 15
 """Values for every moment of the preview."""
 _PLACES = 3
@@ -102,6 +111,50 @@ def teacher_observation(
         robot_at,
         wanted_at,
         lag * 0.5,
+    )
+    return torch.cat(parts, -1)
+
+
+def command_of(reference: RobotState) -> Command:
+    """What an operator who moves like ``reference`` commands: head and hands."""
+    poses = key_point_poses(reference.body_position, reference.body_quat)
+    return Command(KeyPoints(*poses), key_point_velocities(reference))
+
+
+def command_observation(
+    robot: RobotState, command: Command, action: torch.Tensor
+) -> torch.Tensor:
+    """The student's task part and the robot's true state, ``(n, COMMAND_SIZE)``.
+
+    Contents: `observation.task`; velocity and height of the root; gravity and angular
+    velocity; joints and their velocities; the previous action; loads, places and
+    velocities of the feet. Vectors stand in the robot's heading frame.
+
+    Args:
+        robot: current states.
+        command: targets for t + 1.
+        action: (n, 29), previous action, student units.
+    """
+    root = robot.body_quat[:, g1.ROOT]
+    heading = rotations.heading(root)
+    measured = KeyPoints(*key_point_poses(robot.body_position, robot.body_quat))
+    pelvis = robot.body_position[:, g1.ROOT : g1.ROOT + 1]
+    vectors = (
+        robot.body_velocity[:, g1.ROOT : g1.ROOT + 1],
+        robot.body_position[:, _FEET] - pelvis,
+        robot.body_velocity[:, _FEET],
+        robot.foot_force.clamp(-1000, 1000) / 300.0,
+    )
+    spin = robot.body_angular_velocity[:, g1.ROOT]
+    parts = (
+        observation.task(command, measured, heading),
+        _turned_back(heading, torch.cat(vectors, 1)).flatten(1),
+        pelvis[:, 0, 2:],
+        gravity_b(root),
+        rotations.rotate_inverse(root, spin) * 0.25,
+        robot.joint_angles - _DEFAULT_POSE.like(root),
+        robot.joint_velocities * 0.05,
+        action * 0.5,
     )
     return torch.cat(parts, -1)
 

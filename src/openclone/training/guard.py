@@ -59,10 +59,10 @@ class NanGuard:
             self._stop("an observation is not finite", {}, steps)
 
     def _stop(self, what: str, values: dict[str, float], steps: int) -> None:
-        physics = self._task.physics
         tensors: Tensors = {f"batch/{k}": v for k, v in self._dump().items()}
-        for name in ("qpos", "qvel", "sensordata"):
-            tensors[f"robots/{name}"] = torch.as_tensor(getattr(physics, name))
+        names = ("qpos", "qvel", "sensordata")
+        for name, part in zip(names, self._task.physics.read(), strict=True):
+            tensors[f"robots/{name}"] = part
         tensors["robots/reference_frame"] = self._task.frame
         for name, network in self._networks.items():
             for key, value in network.state_dict().items():

@@ -15,7 +15,9 @@ import mujoco
 import torch
 
 from openclone.errors import InputError
-from openclone.training.distributed import threads_per_process
+from openclone.training.distributed import team, threads_per_process
+from openclone.training.lane_physics import LanePhysics, check_supported
+from openclone.training.native import compiler
 from openclone.training.physics import Physics, ThreadedPhysics
 
 Parameters = ParamSpec("Parameters")
@@ -60,19 +62,24 @@ def keep_memory() -> None:
         libc.mallopt(_TOP_PAD, 64 << 20)
 
 
+PHYSICS = ("auto", "lanes", "threaded", "warp")
+
+
 @dataclass(frozen=True)
 class Hardware:
     """Where a run computes.
 
     Attributes:
-        physics: "threaded" (MuJoCo on the cores) or "warp" (MuJoCo Warp on `device`).
+        physics: "lanes" (`lane_physics` on the cores), "threaded" (MuJoCo on the
+            cores), "warp" (MuJoCo Warp on `device`), or "auto": lanes where they are
+            possible, else threaded.
         device: PyTorch's name of the device of task, networks and data: "cpu", "cuda"
             or "cuda:1". Under torchrun, "cuda" is the process's own GPU.
         model: the robot as a file of `openclone train model`; None: assembled from
             mjlab's.
     """
 
-    physics: str = "threaded"
+    physics: str = "auto"
     device: str = "cpu"
     model: Path | None = None
 
@@ -82,9 +89,10 @@ class Hardware:
         Raises:
             InputError: it is unknown, or there is none of its kind.
         """
-        if self.physics not in ("threaded", "warp"):
+        if self.physics not in PHYSICS:
             raise InputError(
-                f"unknown physics {self.physics!r}", remedy="use threaded or warp"
+                f"unknown physics {self.physics!r}",
+                remedy="use " + ", ".join(PHYSICS[:-1]) + f" or {PHYSICS[-1]}",
             )
         try:
             device = torch.device(self.device)
@@ -113,8 +121,11 @@ class Hardware:
     ) -> Physics:
         """``num_envs`` robots of ``model`` on the chosen back-end.
 
-        ``threads`` step the robots of "threaded"; by default as many as are this
-        process's share of the cores.
+        ``threads`` step the robots on the cores; by default as many as are this
+        process's share of them.
+
+        Raises:
+            InputError: "lanes" are wanted and not possible.
         """
         device = self.torch_device()
         if self.physics == "warp":
@@ -123,4 +134,27 @@ class Hardware:
 
             return WarpPhysics(model, num_envs, str(device))
         threads = threads or threads_per_process()
+        if self.physics != "threaded":
+            why_not = self._why_no_lanes(model, device)
+            if why_not is None:
+                return LanePhysics(model, num_envs, threads)
+            if self.physics == "lanes":
+                raise InputError(
+                    f"--physics lanes: {why_not}", remedy="use --physics threaded"
+                )
+            if team().leads:
+                print(f"training on MuJoCo's own threads: {why_not}")
         return ThreadedPhysics(model, num_envs, threads, device=device)
+
+    @staticmethod
+    def _why_no_lanes(model: mujoco.MjModel, device: torch.device) -> str | None:
+        """What stands against `LanePhysics`; None: nothing."""
+        if device.type != "cpu":
+            return "lanes are the processor's, the task's tensors are not"
+        if compiler() is None:
+            return "there is no C compiler (installing gcc makes it much faster)"
+        try:
+            check_supported(model)
+        except ValueError as error:
+            return str(error)
+        return None

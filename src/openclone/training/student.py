@@ -60,7 +60,7 @@ class StudentEnvironment:
         """Groups ``student`` and ``critic``."""
         groups = {
             GROUP: self.view.observe(),
-            _CRITIC: self.view.task.teacher_observation(),
+            _CRITIC: self.view.task.reference_observation(),
         }
         return TensorDict(groups, batch_size=[self.num_envs])
 

@@ -11,6 +11,7 @@ from openclone.policy import observation
 from openclone.policy.command import Command, KeyPoints
 from openclone.policy.constants import Constant
 from openclone.policy.observation import History, Proprioception
+from openclone.policy.teacher import command_of
 from openclone.robot import g1
 from openclone.robot.model import CONTROL_PERIOD
 from openclone.robot.state import key_point_poses, key_point_velocities
@@ -79,9 +80,7 @@ class StudentView:
 
     def command(self) -> Command:
         """Targets for t + 1: the reference's head and hands."""
-        reference = self.task.next_reference()
-        points = key_point_poses(reference.body_position, reference.body_quat)
-        return Command(KeyPoints(*points), key_point_velocities(reference))
+        return command_of(self.task.next_reference())
 
     def observe(self) -> torch.Tensor:
         """The student's input, ``(n, 2376)``."""

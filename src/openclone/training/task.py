@@ -9,7 +9,13 @@ import numpy as np
 import torch
 
 from openclone.policy.constants import Constant
-from openclone.policy.teacher import evenly_spaced, preview, teacher_observation
+from openclone.policy.teacher import (
+    command_observation,
+    command_of,
+    evenly_spaced,
+    preview,
+    teacher_observation,
+)
 from openclone.robot import g1
 from openclone.robot.model import CONTROL_PERIOD, SensorLayout
 from openclone.robot.state import RobotState, read_state
@@ -30,6 +36,7 @@ _ENDS = (evenly_spaced(g1.FEET), evenly_spaced(g1.WRISTS))
 _SETTLING_STEPS = 150
 """Robots born away from the reference get so long to come closer."""
 _ACTION_SCALE = Constant(g1.ACTION_SCALE)
+_DEFAULT_POSE = Constant(g1.DEFAULT_POSE)
 
 
 @dataclass(frozen=True)
@@ -162,6 +169,8 @@ class TrackingTask:
         """(n, 29): joint targets of the configured guidance."""
         targets = self.next_reference().joint_angles
         guidance = self.config.guidance
+        if guidance == "pose":
+            return _DEFAULT_POSE.like(targets).expand_as(targets)
         if guidance != "angles":
             ahead = self.reference.feedforward.index_select(0, self.next_frame())
             targets = targets + ahead
@@ -176,8 +185,20 @@ class TrackingTask:
             self._correction = corrections(gains.index_select(0, self.frame), away)
         return self._correction
 
-    @on_one_thread
     def teacher_observation(self) -> torch.Tensor:
+        """(n, d): what the teacher sees, by the configured view."""
+        if self.config.view == "command":
+            return self.command_observation()
+        return self.reference_observation()
+
+    @on_one_thread
+    def command_observation(self) -> torch.Tensor:
+        """(n, d): head and hands of the reference, and the robot's true state."""
+        command = command_of(self.next_reference())
+        return command_observation(self._state, command, self.action)
+
+    @on_one_thread
+    def reference_observation(self) -> torch.Tensor:
         """(n, d): the privileged observation of section 3.1, and the preview."""
         following, reference = self.next_frame(), self.next_reference()
         last = self.reference.last[following]

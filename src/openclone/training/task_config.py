@@ -9,10 +9,13 @@ from typing import Literal
 from openclone.training.randomization import TABLE_A2, RandomizationConfig
 from openclone.training.reward_table import FAST, RewardWeights
 
-Guidance = Literal["angles", "feedforward", "feedback"]
-"""Joint targets that need no learning: the reference's angles; those that also give the
-reference's torques; those that, by linear feedback, also hold the robot near it. The
-teacher sees what feedback adds."""
+Guidance = Literal["pose", "angles", "feedforward", "feedback"]
+"""Joint targets that need no learning: the default pose, as for the student; the
+reference's angles; those that also give the reference's torques; those that, by linear
+feedback, also hold the robot near it. The teacher sees what feedback adds."""
+View = Literal["reference", "command"]
+"""What the teacher sees of the motion: all of it, or head and hands as the student
+does. The critic sees all of it."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +62,7 @@ class TaskConfig:
         preview: control steps ahead at which the teacher also sees the reference; the
             paper's teacher sees the next step alone.
         guidance: what the teacher's action is an offset to.
+        view: what the teacher sees of the motion.
         randomization: the other rows of Table A2.
     """
 
@@ -76,6 +80,7 @@ class TaskConfig:
     push_speed: float = 0.5
     lead_frames: int = 10
     guidance: Guidance = "feedforward"
+    view: View = "reference"
     preview: tuple[int, ...] = (5, 10, 20, 40)
     born_by_area: bool = True
     randomization: RandomizationConfig = field(default_factory=RandomizationConfig)

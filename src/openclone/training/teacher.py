@@ -13,7 +13,7 @@ from tensordict import TensorDict
 
 from openclone.errors import InputError
 from openclone.motion.clip import Clip, clip_hash
-from openclone.policy.teacher import teacher_size
+from openclone.policy.teacher import COMMAND_SIZE, teacher_size
 from openclone.robot import g1
 from openclone.training.amp import AmpStyle
 from openclone.training.checkpoint import (
@@ -33,6 +33,8 @@ from openclone.training.task_config import TaskConfig
 
 _SEEDS_APART = 1009
 GROUP = "teacher"
+CRITIC = "critic"
+"""Observation of the critic, where it is not the teacher's."""
 CHECKPOINT = "teacher.pt"
 
 
@@ -44,10 +46,11 @@ class TeacherEnvironment:
         self.num_envs = task.num_envs
 
     def observe(self) -> TensorDict:
-        """Observation group ``teacher``."""
-        return TensorDict(
-            {GROUP: self.task.teacher_observation()}, batch_size=[self.num_envs]
-        )
+        """Group ``teacher``; and ``critic``, if the teacher sees the command alone."""
+        groups = {GROUP: self.task.teacher_observation()}
+        if self.task.config.view == "command":
+            groups[CRITIC] = self.task.reference_observation()
+        return TensorDict(groups, batch_size=[self.num_envs])
 
     def step(self, action: torch.Tensor) -> StepResult:
         """Joint targets = reference joint angles + scale x action."""
@@ -55,13 +58,9 @@ class TeacherEnvironment:
 
 
 def _new_ppo(task: TrackingTask, config: PpoConfig) -> PPO:
-    size = teacher_size(
-        len(task.config.preview), feedback=task.config.guidance == "feedback"
-    )
-    seen = torch.zeros(task.num_envs, size, device=task.device)
-    example = TensorDict({GROUP: seen}, batch_size=[task.num_envs])
+    example = TeacherEnvironment(task).observe()
     actor = mlp_model(example, GROUP, g1.NUM_JOINTS, config)
-    critic = mlp_model(example, GROUP, 1, config)
+    critic = mlp_model(example, CRITIC if CRITIC in example else GROUP, 1, config)
     return build_ppo(example, actor, critic, config)
 
 
@@ -122,6 +121,7 @@ class TeacherTrainer:
             "hidden": list(self.preset.ppo.hidden),
             "preview": list(self.preset.task.preview),
             "guidance": self.preset.task.guidance,
+            "view": self.preset.task.view,
             "steps": trained.steps,
             "minutes": trained.minutes,
             "iterations": trained.iterations,
@@ -228,6 +228,8 @@ def _load(
         size = teacher_size(
             len(content["preview"]), feedback=content["guidance"] == "feedback"
         )
+        if group == GROUP and _view(content) == "command":
+            size = COMMAND_SIZE
         example = TensorDict({group: torch.zeros(1, size)}, batch_size=[1])
         model = mlp_model(example, group, outputs, config)
         model.load_state_dict(content["ppo"][part])
@@ -236,8 +238,19 @@ def _load(
     return model
 
 
+def _view(content: dict[str, Any]) -> str:
+    """What the teacher of a checkpoint sees; early ones all saw the reference."""
+    return content.get("view", "reference")
+
+
 def _check_agrees(content: dict[str, Any], task: TaskConfig, path: Path) -> None:
     """Refuse a teacher that saw or did something else than it would in ``task``."""
+    if _view(content) != task.view:
+        raise InputError(
+            f"the teacher's view is {_view(content)!r}, the task's {task.view!r}",
+            where=str(path),
+            remedy="give a teacher trained with the same `view`",
+        )
     moments = tuple(content["preview"])
     if moments != task.preview:
         raise InputError(
