@@ -39,6 +39,7 @@ class MoeLayer(nn.Module):
         self.experts, self.active, self.width = experts, active, width
         self.router = Linear(width, experts)
         self.expert = Linear(width, experts * width)
+        self.expert.short = True
 
     def forward(self, hidden: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Map ``(n, width)`` to the output ``(n, width)`` and weights ``(n, N)``.
@@ -59,6 +60,7 @@ class MoeNetwork(nn.Module):
     def __init__(self, inputs: int, outputs: int, config: MoeConfig) -> None:
         super().__init__()
         self.stem = Linear(inputs, config.width)
+        self.stem.short = True
         self.layers = nn.ModuleList(
             MoeLayer(config.width, config.experts, config.active)
             for _ in range(config.layers)

@@ -72,16 +72,21 @@ class DataChoice:
         )
 
 
-_BEFORE_THE_FALL = TerminationLimits(0.4, 1.2, math.inf, 1.2)
+_BEFORE_THE_FALL = TerminationLimits(0.4, 1.5, math.inf, 1.5)
 """A robot that lags may catch up: what it learns then, the student needs most."""
 _FAST_TASK = TaskConfig(
     num_envs=512,
-    episode_steps=250,
+    episode_steps=300,
     limits=_BEFORE_THE_FALL,
-    failure_share=0.7,
-    push_speed=1.2,
+    failure_share=0.5,
+    push_speed=1.0,
     push_interval=4.0,
     standing_share=0.05,
+    displaced_share=0.1,
+    born_distance=0.6,
+    recorded_weight=2.0,
+    view="command",
+    guidance="pose",
 )
 # Feedback would hold the teacher to feet that glide.
 _QUICKSTART_DATA = DataChoice(categories=_WALKING, commands=False, mirror=False)
@@ -97,14 +102,15 @@ _QUICKSTART_TASK = TaskConfig(
 # Much noise at first: with little, a step within the KL budget is tiny.
 _FAST_PPO = PpoConfig(
     steps=24,
-    epochs=3,
-    minibatches=3,
+    epochs=2,
+    minibatches=4,
     slowest=1e-5,
-    kl=0.06,
+    kl=0.03,
     final_kl=0.02,
     entropy=0.0,
-    initial_std=0.35,
+    initial_std=0.25,
     final_std=0.12,
+    hidden=(512, 256, 128),
 )
 _QUICKSTART_PPO = PpoConfig(
     steps=16,
@@ -172,7 +178,10 @@ class DistillationConfig:
 
 
 _STUDENT_TASK = TaskConfig(
+    num_envs=512,
     limits=_BEFORE_THE_FALL,
+    view="command",
+    guidance="pose",
     failure_share=0.3,
     push_speed=1.2,
     push_interval=12.0,

@@ -125,6 +125,7 @@ is printed with +500 on an error, which would reward wrong hands: it is negative
 
 FAST = RewardWeights(
     vr_position=1.5,
+    extend_body_position=1.0,
     body_position=1.0,
     root_position=1.0,
     root_rotation=0.5,
@@ -132,15 +133,17 @@ FAST = RewardWeights(
     body_velocity=1.0,
     body_angular_velocity=1.0,
     hand_rotation=-2.0,
-    lower_action_rate=-0.05,
-    upper_action_rate=-0.05,
+    termination=-150.0,
+    lower_action_rate=-0.03,
+    upper_action_rate=-0.03,
     dof_acceleration=-1e-7,
     dof_margin=-10.0,
     torque=-1e-6,
     slippage=-0.1,
     feet_still=-0.5,
-    contact_mismatch=-0.5,
+    contact_mismatch=-0.2,
     airborne=-2.0,
+    limit=400.0,
 )
 """What the shipped teacher was trained with."""
 

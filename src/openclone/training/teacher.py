@@ -100,6 +100,7 @@ class TeacherTrainer:
     def resume(self, path: Path) -> Trained:
         """Go on from the checkpoint ``path``."""
         content = load_checkpoint(path)
+        _check_view(content, self.preset.task, path)
         with fitting(path):
             resume_ppo(self.ppo, content["ppo"])
             _check_agrees(content, self.preset.task, path)
@@ -243,14 +244,19 @@ def _view(content: dict[str, Any]) -> str:
     return content.get("view", "reference")
 
 
-def _check_agrees(content: dict[str, Any], task: TaskConfig, path: Path) -> None:
-    """Refuse a teacher that saw or did something else than it would in ``task``."""
+def _check_view(content: dict[str, Any], task: TaskConfig, path: Path) -> None:
+    """Refuse a teacher that saw more or less of the motion than it would in ``task``."""
     if _view(content) != task.view:
         raise InputError(
             f"the teacher's view is {_view(content)!r}, the task's {task.view!r}",
             where=str(path),
             remedy="give a teacher trained with the same `view`",
         )
+
+
+def _check_agrees(content: dict[str, Any], task: TaskConfig, path: Path) -> None:
+    """Refuse a teacher that saw or did something else than it would in ``task``."""
+    _check_view(content, task, path)
     moments = tuple(content["preview"])
     if moments != task.preview:
         raise InputError(
