@@ -2,12 +2,15 @@
 
 Four rates on the same machine in one run, as ratios:
 
-1. raw ``mujoco.rollout`` on the training model, all cores: what the physics allows;
-2. the tracking task (rewards, resets, teacher observation) on top of it;
-3. PPO end to end on top of that: the ``fast`` preset's collection and updates;
-4. mjlab's G1 velocity task in its CPU mode (MuJoCo Warp on the CPU device).
+1. raw ``mujoco.rollout`` on the training model, all cores: what MuJoCo allows;
+2. the same robots in lanes, where there is a C compiler;
+3. the tracking task (rewards, resets, teacher observation) on the physics that training
+   chooses, lanes by default;
+4. PPO end to end on top of that: the ``fast`` preset's collection and updates, in one
+   process;
+5. mjlab's G1 velocity task in its CPU mode (MuJoCo Warp on the CPU device).
 
-All four take turns in short windows, so that a machine that is busy with other things
+All take turns in short windows, so that a machine that is busy with other things
 slows all of them alike. Every round gives one ratio; printed are their medians and, as
 ``..._low`` and ``..._high``, their extremes. Ratios are given twice: of wall time, and
 of CPU time summed over threads, which other processes disturb less but which hides
@@ -37,6 +40,8 @@ from mujoco import rollout
 
 from openclone.motion.sources.synthetic import default_set
 from openclone.robot.model import SUBSTEPS
+from openclone.training.lane_physics import LanePhysics
+from openclone.training.native import compiler
 from openclone.training.ppo import learn
 from openclone.training.presets import TEACHERS
 from openclone.training.progress import Budget, Progress
@@ -90,6 +95,24 @@ def raw_rollout(trainer: TeacherTrainer, threads: int, steps: int) -> Callable[[
     return work
 
 
+def lanes(trainer: TeacherTrainer, threads: int, steps: int) -> Callable[[], int]:
+    """The same work as `raw_rollout` in lanes: every call begins at the same states."""
+    task, model = trainer.task, build_training_model()
+    physics = LanePhysics(model, task.num_envs, threads)
+    qpos, qvel, _ = (part.numpy() for part in task.physics.read())
+    targets = task.residual_to_target(torch.zeros(task.num_envs, 29))
+    ctrl = targets[:, None].repeat(1, SUBSTEPS, 1)
+    everyone = np.arange(task.num_envs)
+
+    def work() -> int:
+        for _ in range(steps):
+            physics.place(everyone, qpos, qvel)
+            physics.step(ctrl)
+        return steps * task.num_envs
+
+    return work
+
+
 def task_steps(trainer: TeacherTrainer, steps: int) -> Callable[[], int]:
     """Work that steps the task with noisy actions and observes it."""
     task = trainer.task
@@ -131,8 +154,10 @@ def our_works(robots: int | None, steps: int) -> Iterator[dict[str, Callable[[],
     with tempfile.TemporaryDirectory() as folder:
         task = task_steps(trainer, steps)
         task()
-        yield {
-            "raw_rollout": raw_rollout(trainer, threads, steps),
+        works = {"raw_rollout": raw_rollout(trainer, threads, steps)}
+        if compiler() is not None:
+            works["lanes"] = lanes(trainer, threads, steps)
+        yield works | {
             "task": task,
             "ppo": ppo_iteration(trainer, Path(folder)),
         }
@@ -181,6 +206,7 @@ def ratios(times: dict[str, Times]) -> dict[str, float]:
         for name, rows in times.items()
     }
     pairs = [
+        ("lanes_over_raw", "raw_rollout", "lanes"),
         ("task_share_of_raw", "raw_rollout", "task"),
         ("ppo_share_of_raw", "raw_rollout", "ppo"),
     ]
@@ -190,6 +216,8 @@ def ratios(times: dict[str, Times]) -> dict[str, float]:
             ("ppo_over_mjlab", "mjlab_cpu", "ppo"),
         ]
     for name, slow, fast in pairs:
+        if fast not in times:
+            continue
         for index, clock in enumerate(("wall", "cpu")):
             values = times[slow][:, index] / times[fast][:, index]
             key = f"{name}_{clock}"

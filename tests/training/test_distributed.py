@@ -10,7 +10,12 @@ import pytest
 import torch
 
 from openclone.training.checkpoint import load_checkpoint
-from openclone.training.distributed import Team, team, threads_per_process
+from openclone.training.distributed import (
+    Team,
+    in_processes,
+    team,
+    threads_per_process,
+)
 
 pytestmark = pytest.mark.timeout(900)
 
@@ -110,3 +115,24 @@ def test_the_command_under_torchrun(clip_file, tmp_path):
     assert content["steps"] == 2 * 3 * 4 * 16
     weights = content["ppo"]["actor_state_dict"]["mlp.0.weight"]
     assert np.isfinite(weights.numpy()).all()
+
+
+def test_the_command_starts_its_own_processes(clip_file, tmp_path):
+    command = [sys.executable, "-m", "openclone.cli", "train", "teacher"]
+    command += ["--preset", "smoke", "--processes", "2", "--out", str(tmp_path)]
+    command += ["--motions", str(Path(clip_file).parent)]
+    result = subprocess.run(command, capture_output=True, text=True, timeout=600)
+    assert result.returncode == 0, result.stderr[-3000:]
+    content = load_checkpoint(tmp_path / "teacher.pt")
+    assert content["steps"] == 2 * 3 * 4 * 16
+
+
+def test_one_process_that_fails_ends_the_others():
+    script = (
+        "import os, sys, time\n"
+        "if os.environ['RANK'] == '1': sys.exit(3)\n"
+        "time.sleep(600)"
+    )
+    assert in_processes(2, [sys.executable, "-c", script]) == 3
+    script = "import os; assert os.environ['WORLD_SIZE'] == '3'"
+    assert in_processes(3, [sys.executable, "-c", script]) == 0

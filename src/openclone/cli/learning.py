@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -71,6 +72,7 @@ def train_teacher(
     start: Path | None = None,
     seed: int = 0,
     threads: int | None = None,
+    processes: int = 1,
     physics: str = "auto",
     device: str = "cpu",
     model: Path | None = None,
@@ -88,6 +90,8 @@ def train_teacher(
         start: begin with the networks of this checkpoint, with a fresh budget.
         seed: of all randomness.
         threads: CPU threads; all cores by default.
+        processes: that train together, each with the preset's robots and its own copy
+            of the motions. With lanes, one per core is quickest.
         physics: lanes (sixteen robots at a time on each core; needs a C compiler),
             threaded (MuJoCo on the cores), warp (MuJoCo Warp, on the device), or auto:
             lanes where they are possible, else threaded.
@@ -95,6 +99,8 @@ def train_teacher(
         model: the robot as written by `openclone train model`, where mjlab is missing.
     """
     wait_passively()
+    if _again_in(processes):
+        return
     from openclone.training import teacher
     from openclone.training.presets import teacher_preset
 
@@ -113,6 +119,26 @@ def train_teacher(
         hardware=_hardware(physics, device, model),
     )
     print(f"teacher: {path}")
+
+
+def _again_in(processes: int) -> bool:
+    """Run this command in several processes, if they are wanted; whether it was done.
+
+    Raises:
+        InputError: their number is not positive.
+        SystemExit: one of them failed, and has said why.
+    """
+    positive("--processes", processes)
+    if processes == 1 or "WORLD_SIZE" in os.environ:
+        return False
+    from openclone.training.distributed import in_processes
+
+    status = in_processes(
+        processes, [sys.executable, "-m", "openclone.cli", *sys.argv[1:]]
+    )
+    if status:
+        raise SystemExit(status)
+    return True
 
 
 def _hardware(physics: str, device: str, model: Path | None) -> Hardware:

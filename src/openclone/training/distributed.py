@@ -1,5 +1,6 @@
-"""Training in several processes, on one machine or more, started by torchrun.
+"""Training in several processes, on one machine or more.
 
+    openclone train teacher --processes 2
     torchrun --nproc-per-node 2 -m openclone.cli train teacher
 
 Every process simulates the preset's robots and collects its own data; rsl_rl averages
@@ -9,7 +10,10 @@ the gradients. Process 0 decides when to stop, and it alone prints and writes.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator
+import socket
+import subprocess
+import time
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 
@@ -108,6 +112,43 @@ def joined(device: torch.device | None = None) -> Iterator[Team]:
         yield team()
     finally:
         distributed.destroy_process_group()
+
+
+def in_processes(count: int, command: Sequence[str]) -> int:
+    """Run ``command`` in ``count`` processes that join each other; the exit status.
+
+    When one fails, the others are stopped.
+    """
+    threads = max(1, (os.cpu_count() or 1) // count)
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    shared = {
+        "WORLD_SIZE": str(count),
+        "LOCAL_WORLD_SIZE": str(count),
+        "MASTER_ADDR": "127.0.0.1",
+        "MASTER_PORT": str(port),
+        "OMP_NUM_THREADS": str(threads),
+    }
+    crew = [
+        subprocess.Popen(
+            command,
+            env={**os.environ, **shared, "RANK": str(rank), "LOCAL_RANK": str(rank)},
+        )
+        for rank in range(count)
+    ]
+    try:
+        while True:
+            statuses = [process.poll() for process in crew]
+            failed = [status for status in statuses if status]
+            if failed or all(status == 0 for status in statuses):
+                return failed[0] if failed else 0
+            time.sleep(0.2)
+    finally:
+        for process in crew:
+            process.terminate()
+        for process in crew:
+            process.wait()
 
 
 def threads_per_process() -> int:

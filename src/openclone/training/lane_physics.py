@@ -264,11 +264,15 @@ class LanePhysics:
         rows = self._robots[:, _PART[part]].transpose(0, 2, 1)
         return rows.reshape(-1, _SIZES[part])[: self.num_envs]
 
-    def reset(self, ids: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> None:
-        """Put the robots ``ids`` into the given states and refresh their sensors."""
+    def place(self, ids: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> None:
+        """As `reset`, but sensors stay as they are."""
         self._put("qpos", ids, qpos)
         self._put("qvel", ids, qvel)
         self._put("edge", ids, np.zeros((len(ids), _SIZES["edge"])))
+
+    def reset(self, ids: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> None:
+        """Put the robots ``ids`` into the given states and refresh their sensors."""
+        self.place(ids, qpos, qvel)
         blocks, place = np.unique(ids // _LANES, return_inverse=True)
         chosen = _aligned(len(blocks), _TOTAL, _LANES)
         chosen[:] = self._robots[blocks]

@@ -28,6 +28,7 @@ class StartFrames:
         share: float,
         generator: torch.Generator,
         recorded_weight: float = 1.0,
+        run_up: int = _BIN,
     ) -> None:
         """Begin with the same rate everywhere.
 
@@ -37,12 +38,14 @@ class StartFrames:
             generator: of the draws, on the CPU.
             recorded_weight: how many times more often than synthetic ones the rest
                 draws motions made from recordings.
+            run_up: frames before the chosen place at which episodes may begin.
         """
         bins = reference.num_frames // _BIN + 1
         device = reference.device
         self.failures = torch.full((bins,), 0.1, device=device)
         self._visits = torch.ones(bins, device=device)
         self._share, self._generator = share, generator
+        self._run_up = run_up
         clip, self._last = reference.clip.cpu(), reference.last.cpu()
         self._first = torch.searchsorted(clip, clip)
         recorded = torch.tensor(reference.recorded, device=clip.device)[clip]
@@ -61,7 +64,7 @@ class StartFrames:
         self.failures.index_add_(0, bins, terminated.to(self.failures.dtype))
 
     def draw(self, count: int) -> torch.Tensor:
-        """``(count,)`` frames, up to 1 s before the chosen place; on the CPU."""
+        """``(count,)`` frames, near the chosen place or before it; on the CPU."""
         rate = (self.failures / (self._visits + 1.0)).clamp(max=0.5) + 0.01
         # Thousands of easy bins would outweigh the few hard ones.
         rate = rate**1.5
@@ -69,7 +72,7 @@ class StartFrames:
         chance = share * (rate / rate.sum()).cpu() + (1 - share) * self._even
         rng = self._generator
         bins = torch.multinomial(chance, count, replacement=True, generator=rng)
-        offset = torch.randint(-_BIN, _BIN, (count,), generator=rng)
+        offset = torch.randint(-self._run_up, _BIN, (count,), generator=rng)
         wanted = self._place[bins]
         latest = torch.maximum(self._first[wanted], self._last[wanted] - _BIN)
         return torch.minimum(

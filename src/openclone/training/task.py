@@ -118,7 +118,11 @@ class TrackingTask:
         self._factory = RobotFactory(config.randomization, physics, self._path, stream)
         ages = torch.randint(0, config.episode_steps, (n,), generator=self._torch_rng)
         self.starts = StartFrames(
-            reference, config.failure_share, self._torch_rng, config.recorded_weight
+            reference,
+            config.failure_share,
+            self._torch_rng,
+            config.recorded_weight,
+            config.run_up,
         )
         self.frame = torch.zeros(n, dtype=torch.long, device=self.device)
         self.age = torch.zeros_like(self.frame)

@@ -45,6 +45,8 @@ class TaskConfig:
         limits: early termination.
         weights: reward weights.
         failure_share: share of resets drawn by failure rate; the rest is even.
+        run_up: control steps before the chosen place at which episodes may begin: a
+            robot comes to it as it then is, late perhaps, and not as the reference.
         recorded_weight: how many times more often than synthetic motions the rest
             draws those made from recordings, per second of motion.
         displaced_share: share of resets away from the reference (Table A2, born
@@ -71,6 +73,7 @@ class TaskConfig:
     limits: TerminationLimits = field(default_factory=TerminationLimits)
     weights: RewardWeights = FAST
     failure_share: float = 0.7
+    run_up: int = 25
     recorded_weight: float = 1.0
     displaced_share: float = 0.1
     born_distance: float = 0.3

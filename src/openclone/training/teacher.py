@@ -245,7 +245,7 @@ def _view(content: dict[str, Any]) -> str:
 
 
 def _check_view(content: dict[str, Any], task: TaskConfig, path: Path) -> None:
-    """Refuse a teacher that saw more or less of the motion than it would in ``task``."""
+    """Refuse a teacher that saw more or less of the motion than in ``task``."""
     if _view(content) != task.view:
         raise InputError(
             f"the teacher's view is {_view(content)!r}, the task's {task.view!r}",
