@@ -64,6 +64,26 @@ def test_failing_bins_are_drawn_more_often(make_task):
     assert float(near.float().mean()) > 0.6
 
 
+def test_what_always_fails_does_not_take_all_the_time(make_task):
+    task = make_task(4, **{**CALM, "failure_share": 1.0})
+    starts = task.starts
+    starts.failures[:], starts._visits[:] = 0.0, 1000.0
+    starts.failures[1], starts.failures[5] = 900.0, 100.0
+    bins = starts.draw(4000) // 25
+    hopeless, hard = (int(((bins - at).abs() <= 1).sum()) for at in (1, 5))
+    assert 0.7 < hard / hopeless < 1.4
+
+
+def test_a_run_up_leads_to_the_hard_place(make_task, reference):
+    task = make_task(4, run_up=75, **{**CALM, "failure_share": 1.0})
+    task.starts.failures[:] = 0.0
+    task.starts.failures[5] = 50.0
+    frames = task.starts.draw(3000)
+    before = 5 * 25 - frames
+    assert float((before > 25).float().mean()) > 0.3
+    assert int(before[(before > -25) & (before < 100)].max()) <= 75
+
+
 def test_displaced_and_standing_starts(make_task, reference):
     task = make_task(
         32,

@@ -8,6 +8,8 @@ from openclone.training.reference import ReferenceMotions
 
 _BIN = 25
 """Frames that share one failure rate: half a second."""
+_HARDEST = 0.1
+"""Failures per visit that count; what always fails would take all the time, in vain."""
 _FORGETTING = 0.9995
 """Share of the old counts that each control step keeps."""
 
@@ -65,9 +67,7 @@ class StartFrames:
 
     def draw(self, count: int) -> torch.Tensor:
         """``(count,)`` frames, near the chosen place or before it; on the CPU."""
-        rate = (self.failures / (self._visits + 1.0)).clamp(max=0.5) + 0.01
-        # Thousands of easy bins would outweigh the few hard ones.
-        rate = rate**1.5
+        rate = (self.failures / (self._visits + 1.0)).clamp(max=_HARDEST) + 0.01
         share = self._share
         chance = share * (rate / rate.sum()).cpu() + (1 - share) * self._even
         rng = self._generator
