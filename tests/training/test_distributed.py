@@ -127,6 +127,20 @@ def test_the_command_starts_its_own_processes(clip_file, tmp_path):
     assert content["steps"] == 2 * 3 * 4 * 16
 
 
+def test_processes_teach_one_student(clip_file, trained, tmp_path):
+    command = [sys.executable, "-m", "openclone.cli", "train", "student"]
+    command += ["--preset", "smoke", "--processes", "2", "--out", str(tmp_path)]
+    command += ["--teacher", str(trained[1]), "--tuning-minutes", "0"]
+    command += ["--motions", str(Path(clip_file).parent)]
+    result = subprocess.run(command, capture_output=True, text=True, timeout=600)
+    assert result.returncode == 0, result.stderr[-3000:]
+    content = load_checkpoint(tmp_path / "student.pt")
+    # The preset's 3 rounds of 4 steps of 16 robots, in both processes.
+    assert content["steps"] == 2 * 3 * 4 * 16
+    assert content["averaged_steps"] == 3 * 2
+    assert (tmp_path / "student.onnx").is_file()
+
+
 def test_one_process_that_fails_ends_the_others():
     script = (
         "import os, sys, time\n"

@@ -174,6 +174,7 @@ def train_student(
     start: Path | None = None,
     seed: int = 0,
     threads: int | None = None,
+    processes: int = 1,
     physics: str = "auto",
     device: str = "cpu",
     model: Path | None = None,
@@ -194,11 +195,14 @@ def train_student(
         start: begin with the student of this checkpoint, with a fresh budget.
         seed: of all randomness.
         threads: CPU threads; all cores by default.
+        processes: as for the teacher.
         physics: as for the teacher.
         device: as for the teacher.
         model: as for the teacher.
     """
     wait_passively()
+    if _again_in(processes):
+        return
     from openclone.training import student
 
     settings = _student_settings(preset, categories, minutes)

@@ -15,6 +15,7 @@ from torch import nn
 from openclone.policy.moe import balance_loss
 from openclone.policy.student import StudentModel
 from openclone.training.demonstrations import Demonstrations
+from openclone.training.distributed import team
 from openclone.training.guard import NanGuard
 from openclone.training.presets import DistillationConfig
 from openclone.training.progress import Progress
@@ -94,9 +95,10 @@ class Dagger:
             action = torch.where(by_teacher.to(device), label, own)
             result = self.view.step(action)
             self.demonstrations.add(inputs, label, result.ended.to(device))
-            progress.steps += count
+            progress.steps += count * team().size
             self._tally.add(result, gap=(self._weight * (own - label)).abs().mean())
         self._tally.report(progress)
+        team().average_buffers(self.student.obs_normalizer)
         newest = self.demonstrations.newest().values()
         self._guard.check_observations(newest, progress.steps)
         self.rounds += 1
@@ -104,7 +106,7 @@ class Dagger:
     def update(self, progress: Progress) -> None:
         """Gradient steps on the buffer: mean L2 norm (as OmniH2O) plus Eq. 1."""
         config = self.config
-        share = math.floor(_RATE_STEPS * progress.share) / _RATE_STEPS
+        share = math.floor(_RATE_STEPS * team().same(progress.share)) / _RATE_STEPS
         rate = config.learning_rate * (1.0 - 0.8 * share)
         for group in self.optimizer.param_groups:
             group["lr"] = rate
@@ -118,6 +120,7 @@ class Dagger:
             loss = imitation + config.balance * balance
             self.optimizer.zero_grad()
             loss.backward()
+            team().average_gradients(self.student.mlp)
             nn.utils.clip_grad_norm_(
                 self.student.mlp.parameters(), config.max_grad_norm
             )

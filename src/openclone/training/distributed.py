@@ -21,6 +21,8 @@ import torch
 from rsl_rl.algorithms import PPO
 from torch import distributed, nn
 
+_SEEDS_APART = 1009
+
 
 @dataclass(frozen=True)
 class Team:
@@ -46,6 +48,10 @@ class Team:
             return None
         return {"global_rank": self.rank, "world_size": self.size}
 
+    def own_seed(self, seed: int) -> int:
+        """A seed for each process: not all may collect the same data."""
+        return seed + self.rank * _SEEDS_APART
+
     def agree(self, decision: bool) -> bool:
         """The decision of process 0, in all processes."""
         if self.size == 1:
@@ -53,6 +59,14 @@ class Team:
         shared = torch.tensor(decision)
         distributed.broadcast(shared, src=0)
         return bool(shared)
+
+    def same(self, value: float) -> float:
+        """The value of process 0, in all processes."""
+        if self.size == 1:
+            return value
+        shared = torch.tensor(value, dtype=torch.float64)
+        distributed.broadcast(shared, src=0)
+        return float(shared)
 
     def share_networks(self, ppo: PPO) -> None:
         """Give all processes the networks of process 0."""

@@ -23,6 +23,7 @@ from openclone.training.checkpoint import (
 )
 from openclone.training.data import load_reference, make_task
 from openclone.training.distillation import Dagger, distill, router_usage
+from openclone.training.distributed import joined, team
 from openclone.training.hardware import Hardware, keep_memory
 from openclone.training.ppo import AfterUpdate, build_ppo, learn, resume_ppo
 from openclone.training.presets import StudentPreset
@@ -85,7 +86,8 @@ class StudentTrainer:
         keep_memory()
         torch.manual_seed(seed)
         chosen = preset.select(clips)
-        self.preset, self.out, self.seed = preset, out, seed
+        self.preset, self.out = preset, out
+        self.seed = team().own_seed(seed)
         self.threads, self.hardware = threads, hardware or Hardware()
         self.data_hash = clip_hash(chosen)
         self.reference: ReferenceMotions = load_reference(
@@ -110,8 +112,13 @@ class StudentTrainer:
         extra: dict[str, object],
         exported: nn.Module | None = None,
     ) -> None:
-        """Write checkpoint and bundle; ``exported`` goes into the bundle instead."""
+        """Write checkpoint and bundle; ``exported`` goes into the bundle instead.
+
+        One process of the team does.
+        """
         self.trained = trained = progress.trained
+        if not team().leads:
+            return
         content = {
             "student": self.student.state_dict(),
             "phase": self.phase,
@@ -173,6 +180,8 @@ def train_student(
 ) -> Path:
     """Train a student from the teacher checkpoint and return its bundle.
 
+    Started by torchrun, all its processes train one student together.
+
     Args:
         clips: the data set; the preset chooses categories and mirrors.
         teacher: checkpoint of `train_teacher`.
@@ -189,24 +198,27 @@ def train_student(
         hardware: back-end of the physics and device; the CPU by default.
     """
     out = Path(out)
-    trainer = StudentTrainer(clips, preset, out, seed, threads, hardware)
-    print(trainer.reference.summary())
-    content: dict[str, Any] = {}
-    if resume:
-        content = trainer.resume(out / CHECKPOINT)
-    elif start is not None:
-        content = trainer.resume(start)
-        trainer.trained = Trained(steps=trainer.trained.steps)
     dagger_minutes = preset.minutes if minutes is None else minutes
     extra = preset.tuning_minutes if tuning_minutes is None else tuning_minutes
-    if trainer.phase == "dagger":
-        _dagger_phase(trainer, teacher, dagger_minutes, content)
-        content = {}
-    if extra > 0:
-        if trainer.phase == "dagger":
+    device = (hardware or Hardware()).torch_device()
+    with joined(device) as crew:
+        trainer = StudentTrainer(clips, preset, out, seed, threads, hardware)
+        if crew.leads:
+            print(trainer.reference.summary())
+        content: dict[str, Any] = {}
+        if resume:
+            content = trainer.resume(out / CHECKPOINT)
+        elif start is not None:
+            content = trainer.resume(start)
             trainer.trained = Trained(steps=trainer.trained.steps)
-        trainer.phase = "ppo"
-        _tuning_phase(trainer, teacher, extra, content)
+        if trainer.phase == "dagger":
+            _dagger_phase(trainer, teacher, dagger_minutes, content)
+            content = {}
+        if extra > 0:
+            if trainer.phase == "dagger":
+                trainer.trained = Trained(steps=trainer.trained.steps)
+            trainer.phase = "ppo"
+            _tuning_phase(trainer, teacher, extra, content)
     return out / BUNDLE
 
 
@@ -215,6 +227,7 @@ def _dagger_phase(
 ) -> None:
     preset = trainer.preset
     rng = np.random.default_rng(trainer.seed + 2)
+    team().share(trainer.student)
     dagger = Dagger(
         trainer.view(preset.task),
         load_teacher(teacher, preset.task).to(trainer.reference.device),
@@ -242,7 +255,7 @@ def _dagger_phase(
         trainer.save(progress, state, dagger.average)
 
     try:
-        while not progress.finished:
+        while not team().agree(progress.finished):
             distill(dagger, progress)
             if progress.line(30.0, _SHOWN):
                 save()

@@ -31,7 +31,6 @@ from openclone.training.progress import Budget, Progress, Trained
 from openclone.training.task import StepResult, TrackingTask
 from openclone.training.task_config import TaskConfig
 
-_SEEDS_APART = 1009
 GROUP = "teacher"
 CRITIC = "critic"
 """Observation of the critic, where it is not the teacher's."""
@@ -76,9 +75,8 @@ class TeacherTrainer:
         hardware: Hardware | None = None,
     ) -> None:
         """Build task and untrained networks."""
-        # Processes that train together begin with the networks of process 0, but
-        # must not all collect the same data.
-        seed += team().rank * _SEEDS_APART
+        # Processes that train together begin with the networks of process 0.
+        seed = team().own_seed(seed)
         keep_memory()
         torch.manual_seed(seed)
         chosen = preset.select(clips)
