@@ -78,10 +78,10 @@ _FAST_TASK = TaskConfig(
     num_envs=512,
     episode_steps=300,
     limits=_BEFORE_THE_FALL,
-    failure_share=0.5,
+    failure_share=0.7,
     run_up=125,
     push_speed=1.0,
-    push_interval=4.0,
+    push_interval=6.0,
     standing_share=0.05,
     displaced_share=0.1,
     born_distance=0.6,
@@ -102,15 +102,15 @@ _QUICKSTART_TASK = TaskConfig(
 )
 # Much noise at first: with little, a step within the KL budget is tiny.
 _FAST_PPO = PpoConfig(
-    steps=24,
+    steps=16,
     epochs=2,
     minibatches=4,
     slowest=1e-5,
-    kl=0.03,
-    final_kl=0.02,
+    kl=0.04,
+    final_kl=0.015,
     entropy=0.0,
     initial_std=0.25,
-    final_std=0.12,
+    final_std=0.09,
     hidden=(512, 256, 128),
 )
 _QUICKSTART_PPO = PpoConfig(
