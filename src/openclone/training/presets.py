@@ -285,7 +285,7 @@ TEACHERS = {
         amp=AmpConfig(),
     ),
     "quickstart": TeacherPreset(
-        minutes=8.0,
+        minutes=5.0,
         data=_QUICKSTART_DATA,
         task=_QUICKSTART_TASK,
         ppo=_QUICKSTART_PPO,
@@ -329,11 +329,15 @@ STUDENTS = {
         ),
     ),
     "quickstart": StudentPreset(
-        minutes=28.0,
+        minutes=18.0,
         tuning_minutes=0.0,
         teacher="quickstart",
         task=replace(
-            _STUDENT_TASK, guidance="feedback", push_speed=0.5, push_interval=5.0
+            _STUDENT_TASK,
+            view="reference",
+            guidance="feedback",
+            push_speed=0.5,
+            push_interval=5.0,
         ),
         tuning_task=replace(_TUNING_TASK, guidance="feedback"),
         data=_QUICKSTART_DATA,
