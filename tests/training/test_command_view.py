@@ -117,3 +117,17 @@ def test_training_end_to_end_and_other_views_are_refused(
     train_student(clips, path, alike, tmp_path, threads=1)
     with pytest.raises(InputError, match="view is 'command', the task's 'reference'"):
         train_student(clips, path, student, tmp_path / "other", threads=1)
+
+
+@pytest.mark.parametrize("name", list(STUDENTS))
+def test_students_look_as_their_teachers_do(name):
+    """Labels and the critic come from the teacher: its view and guidance are theirs."""
+    student = STUDENTS[name]
+    teachers = TEACHERS[student.teacher or (name if name in TEACHERS else "fast")]
+    for task in (student.task, student.tuning_task):
+        if name == "paper" and task is student.tuning_task:
+            continue  # the paper has no such phase
+        assert (task.view, task.guidance) == (
+            teachers.task.view,
+            teachers.task.guidance,
+        )

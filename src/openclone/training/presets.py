@@ -192,6 +192,8 @@ _STUDENT_TASK = TaskConfig(
     recorded_weight=2.0,
 )
 _TUNING_TASK = TaskConfig(
+    view="command",
+    guidance="pose",
     limits=TerminationLimits(0.35, 1.2, 0.6, 1.2),
     displaced_share=0.1,
     born_distance=0.6,
@@ -339,7 +341,7 @@ STUDENTS = {
             push_speed=0.5,
             push_interval=5.0,
         ),
-        tuning_task=replace(_TUNING_TASK, guidance="feedback"),
+        tuning_task=replace(_TUNING_TASK, view="reference", guidance="feedback"),
         data=_QUICKSTART_DATA,
     ),
     "smoke": StudentPreset(
