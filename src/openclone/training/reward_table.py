@@ -124,15 +124,15 @@ is printed with +500 on an error, which would reward wrong hands: it is negative
 """
 
 FAST = RewardWeights(
-    vr_position=2.5,
+    vr_position=4.0,
     extend_body_position=1.0,
     body_position=2.0,
-    root_position=1.0,
+    root_position=2.0,
     root_rotation=1.0,
     body_rotation=2.0,
     body_velocity=1.0,
     body_angular_velocity=1.0,
-    hand_rotation=-4.0,
+    hand_rotation=-12.0,
     termination=-150.0,
     lower_action_rate=-0.03,
     upper_action_rate=-0.03,
