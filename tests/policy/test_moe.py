@@ -6,7 +6,7 @@ from openclone.policy.moe import MoeConfig, MoeLayer, MoeNetwork, balance_loss
 
 def test_layer_is_the_weighted_sum_of_the_two_best_experts():
     torch.manual_seed(0)
-    layer = MoeLayer(8, 4, 2)
+    layer = MoeLayer(8, 4, 2).eval()  # which trains with shorter numbers
     hidden = torch.randn(5, 8)
     output, weights = layer(hidden)
     for row in range(5):

@@ -75,4 +75,5 @@ def test_failures_are_sought_whatever_the_weight(make_clip, model):
     starts.failures[:] = 0.0
     starts.failures[18] = 50.0
     frames = starts.draw(2000)
-    assert float(((frames // 25 - 18).abs() <= 1).float().mean()) > 0.6
+    # One of 19 half seconds, which the weight alone would hardly ever draw.
+    assert float(((frames // 25 - 18).abs() <= 1).float().mean()) > 0.3

@@ -98,7 +98,6 @@ def train_teacher(
         device: of task, networks and physics "warp": cpu, cuda or cuda:<number>.
         model: the robot as written by `openclone train model`, where mjlab is missing.
     """
-    wait_passively()
     if _again_in(processes):
         return
     from openclone.training import teacher
@@ -124,10 +123,13 @@ def train_teacher(
 def _again_in(processes: int) -> bool:
     """Run this command in several processes, if they are wanted; whether it was done.
 
+    Call it before torch is imported.
+
     Raises:
         InputError: their number is not positive.
         SystemExit: one of them failed, and has said why.
     """
+    wait_passively()
     positive("--processes", processes)
     if processes == 1 or "WORLD_SIZE" in os.environ:
         return False
@@ -181,11 +183,9 @@ def train_student(
 ) -> None:
     """Train the student from a teacher: DAgger, then PPO if wanted; exports a bundle.
 
-    With --preset quickstart and no --teacher, its teacher is trained first.
-
     Args:
         preset: fast, quickstart, real-odometry, paper, smoke or an ablation.
-        teacher: checkpoint of its teacher; runs/teacher/teacher.pt by default.
+        teacher: checkpoint; runs/teacher/teacher.pt, or quickstart's own, by default.
         motions: as for the teacher.
         out: folder for checkpoint, bundle and event files.
         minutes: wall time of DAgger instead of the preset's.
@@ -200,14 +200,12 @@ def train_student(
         device: as for the teacher.
         model: as for the teacher.
     """
-    wait_passively()
     if _again_in(processes):
         return
     from openclone.training import student
 
     settings = _student_settings(preset, categories, minutes)
-    hardware = _hardware(physics, device, model)
-    clips = _training_clips(motions)
+    clips, hardware = _training_clips(motions), _hardware(physics, device, model)
     if teacher is None:
         teacher = _own_teacher(settings, clips, out, resume, seed, threads, hardware)
         resume &= not settings.teacher or (out / student.CHECKPOINT).is_file()

@@ -179,7 +179,6 @@ class DistillationConfig:
 
 
 _STUDENT_TASK = TaskConfig(
-    num_envs=512,
     limits=_BEFORE_THE_FALL,
     view="command",
     guidance="pose",
