@@ -141,6 +141,13 @@ def test_a_fallen_robot_lies_on_the_ground(lean):
     np.testing.assert_allclose(lanes[:, 2], threaded[:, 2], atol=0.06)
 
 
+@needs_compiler
+def test_loading_the_library_leaves_the_process_s_arithmetic_alone(lean):
+    LanePhysics(lean, 1)
+    assert np.float32(1e-40) * np.float32(0.5) > 0  # smaller than any normal number
+    assert np.float64(1e-310) * 0.5 > 0
+
+
 def test_a_model_with_more_than_lanes_know_is_refused(model):
     damped = copy.copy(model)
     damped.dof_damping[10] = 1.0

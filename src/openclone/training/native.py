@@ -15,7 +15,13 @@ from pathlib import Path
 from openclone.errors import InputError
 from openclone.motion.library import default_cache
 
-_FLAGS = ("-O3", "-march=native", "-ffast-math", "-fPIC", "-shared", "-std=gnu11")
+_FLAGS = (
+    "-O3", "-march=native", "-fPIC", "-shared", "-std=gnu11", "-ffp-contract=fast",
+    "-fno-math-errno", "-fno-trapping-math", "-fno-signed-zeros", "-freciprocal-math",
+    "-fassociative-math",
+)  # fmt: skip
+"""Not -ffast-math: with it, GCC makes the whole process round tiny numbers to zero as
+soon as the library is loaded."""
 _WIDE = "-mprefer-vector-width=512"
 """Without it GCC uses half of a 512-bit register."""
 
