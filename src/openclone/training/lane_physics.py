@@ -2,7 +2,7 @@
 
 MuJoCo steps one robot after another; a register that holds sixteen numbers then works
 on one or two. `lanes.c` solves MuJoCo's equations for this robot on flat ground in
-single precision, all sixteen lanes at once, and is ten times as fast. Places,
+single precision, all sixteen lanes at once, and is eight times as fast. Places,
 velocities and sensors agree with MuJoCo's up to rounding, but for two simplifications:
 joints at their limits are pushed back before the ground pushes, not by one solution of
 both, and each part other than a foot that touches the ground is pushed back alone.
