@@ -8,8 +8,9 @@ import torch
 
 from openclone.errors import InputError
 from openclone.odometry.noise import OdometryNoiseConfig
+from openclone.policy.command import command_of
 from openclone.policy.observation import HISTORY, TASK_SIZE
-from openclone.policy.teacher import COMMAND_SIZE, command_observation, command_of
+from openclone.policy.teacher import COMMAND_SIZE, command_observation
 from openclone.robot import g1
 from openclone.spatial import rotations
 from openclone.training import student as student_module

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from openclone.robot.state import RobotState, key_point_poses, key_point_velocities
 from openclone.spatial.rotations import Array
 
 POINTS = ("head", "left_hand", "right_hand")
@@ -36,3 +37,9 @@ class Command:
 
     target: KeyPoints
     velocity: Array
+
+
+def command_of(reference: RobotState) -> Command:
+    """What an operator who moves like ``reference (...)`` commands: head and hands."""
+    poses = key_point_poses(reference.body_position, reference.body_quat)
+    return Command(KeyPoints(*poses), key_point_velocities(reference))

@@ -14,7 +14,7 @@ from openclone.policy.command import Command, KeyPoints
 from openclone.policy.constants import Constant
 from openclone.policy.observation import TASK_SIZE, gravity_b
 from openclone.robot import g1
-from openclone.robot.state import RobotState, key_point_poses, key_point_velocities
+from openclone.robot.state import RobotState, key_point_poses
 from openclone.spatial import rotations
 
 TEACHER_SIZE = 5 * g1.NUM_JOINTS + 9 * len(g1.KEY_BODIES) + 33
@@ -113,12 +113,6 @@ def teacher_observation(
         lag * 0.5,
     )
     return torch.cat(parts, -1)
-
-
-def command_of(reference: RobotState) -> Command:
-    """What an operator who moves like ``reference`` commands: head and hands."""
-    poses = key_point_poses(reference.body_position, reference.body_quat)
-    return Command(KeyPoints(*poses), key_point_velocities(reference))
 
 
 def command_observation(

@@ -10,9 +10,6 @@ the gradients. Process 0 decides when to stop, and it alone prints and writes.
 from __future__ import annotations
 
 import os
-import socket
-import subprocess
-import time
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -20,6 +17,8 @@ from dataclasses import dataclass
 import torch
 from rsl_rl.algorithms import PPO
 from torch import distributed, nn
+from torch.distributed.elastic.multiprocessing.errors import ChildFailedError
+from torch.distributed.launcher.api import LaunchConfig, elastic_launch
 
 _SEEDS_APART = 1009
 
@@ -131,38 +130,23 @@ def joined(device: torch.device | None = None) -> Iterator[Team]:
 def in_processes(count: int, command: Sequence[str]) -> int:
     """Run ``command`` in ``count`` processes that join each other; the exit status.
 
-    When one fails, the others are stopped.
+    torchrun without its command line, which takes options like --start for its own.
+    When one process fails, the others are stopped.
     """
-    threads = max(1, (os.cpu_count() or 1) // count)
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    shared = {
-        "WORLD_SIZE": str(count),
-        "LOCAL_WORLD_SIZE": str(count),
-        "MASTER_ADDR": "127.0.0.1",
-        "MASTER_PORT": str(port),
-        "OMP_NUM_THREADS": str(threads),
-    }
-    crew = [
-        subprocess.Popen(
-            command,
-            env={**os.environ, **shared, "RANK": str(rank), "LOCAL_RANK": str(rank)},
-        )
-        for rank in range(count)
-    ]
+    os.environ["OMP_NUM_THREADS"] = str(max(1, (os.cpu_count() or 1) // count))
+    config = LaunchConfig(
+        min_nodes=1,
+        max_nodes=1,
+        nproc_per_node=count,
+        rdzv_backend="c10d",
+        rdzv_endpoint="localhost:0",
+        max_restarts=0,
+    )
     try:
-        while True:
-            statuses = [process.poll() for process in crew]
-            failed = [status for status in statuses if status]
-            if failed or all(status == 0 for status in statuses):
-                return failed[0] if failed else 0
-            time.sleep(0.2)
-    finally:
-        for process in crew:
-            process.terminate()
-        for process in crew:
-            process.wait()
+        elastic_launch(config, command[0])(*command[1:])
+    except ChildFailedError as error:
+        return error.get_first_failure()[1].exitcode
+    return 0
 
 
 def threads_per_process() -> int:

@@ -16,8 +16,7 @@ import torch
 
 from openclone.errors import InputError
 from openclone.training.distributed import team, threads_per_process
-from openclone.training.lane_physics import LanePhysics, check_supported
-from openclone.training.native import compiler
+from openclone.training.lane_physics import LanePhysics
 from openclone.training.physics import Physics, ThreadedPhysics
 
 Parameters = ParamSpec("Parameters")
@@ -134,27 +133,12 @@ class Hardware:
 
             return WarpPhysics(model, num_envs, str(device))
         threads = threads or threads_per_process()
-        if self.physics != "threaded":
-            why_not = self._why_no_lanes(model, device)
-            if why_not is None:
-                return LanePhysics(model, num_envs, threads)
-            if self.physics == "lanes":
-                raise InputError(
-                    f"--physics lanes: {why_not}", remedy="use --physics threaded"
-                )
-            if team().leads:
-                print(f"training on MuJoCo's own threads: {why_not}")
+        if self.physics == "lanes" or (self.physics == "auto" and device.type == "cpu"):
+            try:
+                return LanePhysics(model, num_envs, threads, device)
+            except InputError as error:
+                if self.physics == "lanes":
+                    raise
+                if team().leads:
+                    print(f"training on MuJoCo's own threads: {error}")
         return ThreadedPhysics(model, num_envs, threads, device=device)
-
-    @staticmethod
-    def _why_no_lanes(model: mujoco.MjModel, device: torch.device) -> str | None:
-        """What stands against `LanePhysics`; None: nothing."""
-        if device.type != "cpu":
-            return "lanes are the processor's, the task's tensors are not"
-        if compiler() is None:
-            return "there is no C compiler (installing gcc makes it much faster)"
-        try:
-            check_supported(model)
-        except ValueError as error:
-            return str(error)
-        return None

@@ -20,6 +20,7 @@ import mujoco
 import numpy as np
 import torch
 
+from openclone.errors import InputError
 from openclone.robot import g1
 from openclone.training.native import load
 from openclone.training.physics import RobotParameters, apply_parameters, foot_geoms
@@ -93,7 +94,7 @@ def check_supported(model: mujoco.MjModel) -> None:
     """Refuse a model with anything that lanes.c does not know.
 
     Raises:
-        ValueError: it names what.
+        InputError: it names what.
     """
     hinges = model.jnt_axis[1:]
     known = {
@@ -112,6 +113,11 @@ def check_supported(model: mujoco.MjModel) -> None:
         <= {mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CAPSULE}
         and len(_spheres(model)[0]) <= _SPHERES,
         "pyramidal friction": model.opt.cone == mujoco.mjtCone.mjCONE_PYRAMIDAL,
+        "MuJoCo's integrator implicitfast": model.opt.integrator
+        == mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
+        "limits of all joints and motors": bool(
+            model.jnt_limited[1:].all() and model.actuator_forcelimited.all()
+        ),
         "one softness of all contacts": bool(
             np.all(model.geom_solref == model.geom_solref[0])
             and np.all(model.geom_solimp == model.geom_solimp[0])
@@ -120,7 +126,9 @@ def check_supported(model: mujoco.MjModel) -> None:
     }
     for what, holds in known.items():
         if not holds:
-            raise ValueError(f"this physics needs {what}")
+            raise InputError(
+                f"robots in lanes need {what}", remedy="use --physics threaded"
+            )
 
 
 def _touching(model: mujoco.MjModel) -> list[int]:
@@ -140,8 +148,8 @@ def _spheres(model: mujoco.MjModel) -> tuple[list[int], list[np.ndarray], list[f
     """Body, place and radius of all spheres and ends of capsules but the feet's."""
     bodies, places, radii = [], [], []
     feet = foot_geoms(model)
-    for geom in range(model.ngeom):
-        if geom in feet or geom not in _touching(model):
+    for geom in _touching(model):
+        if geom in feet:
             continue
         capsule = model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_CAPSULE
         half = model.geom_size[geom, 1] * _axes(model.geom_quat[geom])[:, 2]
@@ -219,13 +227,30 @@ def _aligned(*shape: int) -> np.ndarray:
 class LanePhysics:
     """A `Physics` on the CPU: robots in blocks of sixteen, blocks shared by threads."""
 
-    def __init__(self, model: mujoco.MjModel, num_envs: int, threads: int = 1) -> None:
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        num_envs: int,
+        threads: int = 1,
+        device: torch.device | None = None,
+    ) -> None:
         """Create ``num_envs`` robots of ``model``.
 
+        Args:
+            model: the robot on its ground.
+            num_envs: number of robots.
+            threads: that share the robots.
+            device: where states are wanted; only the CPU will do.
+
         Raises:
-            ValueError: the model has something that lanes.c does not know.
-            InputError: there is no C compiler.
+            InputError: the model has something that lanes.c does not know, there is no
+                C compiler, or states are wanted elsewhere.
         """
+        if device is not None and device.type != "cpu":
+            raise InputError(
+                f"lanes are the processor's, and states are wanted on {device}",
+                remedy="use --device cpu, or --physics warp",
+            )
         check_supported(model)
         self._library = _load()
         self.num_envs, self.links = num_envs, model.nbody - 1

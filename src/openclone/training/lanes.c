@@ -5,114 +5,7 @@
    pyramidal friction, implicit damping of the motors. All vectors stand in world axes;
    moments, and velocities of rotation, refer to the root's position. */
 
-#include <stdint.h>
-
-#define LANES 16
-#define BODIES 30
-#define JOINTS 29
-#define ROOT 6 /* degrees of freedom of the root: 3 translations, 3 turns */
-#define DOFS (ROOT + JOINTS)
-#define PATH 16 /* most degrees of freedom between the ground and a body */
-#define FEET 2
-#define LEG 12 /* of a foot */
-#define CORNERS 4
-#define CONTACTS (FEET * CORNERS)
-#define MAX_SPHERES 40
-#define SENSORS 14
-
-typedef float lane __attribute__((vector_size(4 * LANES)));
-typedef int32_t mask __attribute__((vector_size(4 * LANES)));
-
-/* What all robots share. */
-typedef struct {
-  int32_t parent[BODIES], axis[BODIES], turned[BODIES]; /* turned: quat matters */
-  int32_t foot[FEET], seen[SENSORS], num_spheres, sphere_body[MAX_SPHERES];
-  float position[BODIES][3], quat[BODIES][4];
-  float armature[JOINTS], lower[JOINTS], upper[JOINTS], max_torque[JOINTS];
-  float corner[CONTACTS][3], corner_radius;
-  float sphere[MAX_SPHERES][3], sphere_radius[MAX_SPHERES];
-  float imu[3];
-  float timestep, gravity, stiffness, damping, imp_start, imp_end, imp_width;
-  float enough; /* N: contacts are solved when no force changes by more */
-  int32_t sweeps; /* at most */
-} Model;
-
-/* 16 robots: what distinguishes them, and their state. */
-typedef struct {
-  lane mass[BODIES], com[BODIES][3], inertia[BODIES][6];
-  lane kp[JOINTS], kd[JOINTS], friction;
-  lane foot_weight[FEET], sphere_weight[MAX_SPHERES], joint_weight[JOINTS];
-  lane qpos[7 + JOINTS], qvel[DOFS], edge[CONTACTS][4];
-} Robots;
-
-typedef struct {
-  lane quat[BODIES][4], axes[BODIES][9], at[BODIES][3];
-  lane s[DOFS][6];
-  lane v[BODIES][6];
-  lane m[BODIES], h[BODIES][3], inertia[BODIES][6];
-  lane force[BODIES][6];
-  lane mass[DOFS][PATH], damped[DOFS][PATH];
-  lane bias[DOFS], applied[DOFS], torque[JOINTS], accel[DOFS];
-  lane foot_force[FEET][3];
-} Work;
-
-static inline lane splat(float x) { return x - (lane){}; }
-static inline lane pick(mask m, lane a, lane b) {
-  return (lane)((m & (mask)a) | (~m & (mask)b));
-}
-static inline lane largest(lane a, lane b) { return pick(a > b, a, b); }
-static inline lane smallest(lane a, lane b) { return pick(a < b, a, b); }
-static inline int any(mask m) {
-  int found = 0;
-  for (int l = 0; l < LANES; l++) found |= m[l];
-  return found;
-}
-static inline lane root_of(lane x) {
-  lane y;
-  for (int l = 0; l < LANES; l++) y[l] = __builtin_sqrtf(x[l]);
-  return y;
-}
-static inline lane dot(const lane *a, const lane *b) {
-  return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-}
-static inline void cross(lane *o, const lane *a, const lane *b) {
-  lane x = a[1] * b[2] - a[2] * b[1], y = a[2] * b[0] - a[0] * b[2];
-  o[2] = a[0] * b[1] - a[1] * b[0];
-  o[0] = x;
-  o[1] = y;
-}
-/* o = R a, R row by row. */
-static inline void turn(lane *o, const lane *r, const lane *a) {
-  for (int i = 0; i < 3; i++) o[i] = dot(r + 3 * i, a);
-}
-static inline void turn_fixed(lane *o, const lane *r, const float *a) {
-  for (int i = 0; i < 3; i++) o[i] = r[3 * i] * a[0] + r[3 * i + 1] * a[1] + r[3 * i + 2] * a[2];
-}
-static inline void symmetric(lane *o, const lane *i, const lane *a) {
-  /* xx yy zz xy xz yz */
-  o[0] = i[0] * a[0] + i[3] * a[1] + i[4] * a[2];
-  o[1] = i[3] * a[0] + i[1] * a[1] + i[5] * a[2];
-  o[2] = i[4] * a[0] + i[5] * a[1] + i[2] * a[2];
-}
-/* Sine and cosine for |x| up to 2. */
-static inline void sincos_of(lane x, lane *s, lane *c) {
-  lane y = x * x;
-  *s = x * (1 + y * (-1.f / 6 + y * (1.f / 120 + y * (-1.f / 5040 + y * (1.f / 362880 - y * (1.f / 39916800 - y * (1.f / 6227020800.f)))))));
-  *c = 1 + y * (-0.5f + y * (1.f / 24 + y * (-1.f / 720 + y * (1.f / 40320 - y * (1.f / 3628800 - y * (1.f / 479001600 - y * (1.f / 87178291200.f)))))));
-}
-static inline void to_axes(lane *r, const lane *q) {
-  lane w = q[0], x = q[1], y = q[2], z = q[3];
-  r[0] = 1 - 2 * (y * y + z * z); r[1] = 2 * (x * y - w * z); r[2] = 2 * (x * z + w * y);
-  r[3] = 2 * (x * y + w * z); r[4] = 1 - 2 * (x * x + z * z); r[5] = 2 * (y * z - w * x);
-  r[6] = 2 * (x * z - w * y); r[7] = 2 * (y * z + w * x); r[8] = 1 - 2 * (x * x + y * y);
-}
-static inline void product(lane *o, const lane *a, const lane *b) {
-  lane w = a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3];
-  lane x = a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2];
-  lane y = a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1];
-  o[3] = a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0];
-  o[0] = w; o[1] = x; o[2] = y;
-}
+#include "lanes.h"
 
 /* Places, axes and velocities of the bodies; what a unit speed of each joint moves. */
 static void kinematics(const Model *model, const Robots *robots, Work *w) {
@@ -282,12 +175,6 @@ static void solve(lane m[DOFS][PATH], const int *depth, int path[DOFS][PATH], la
   }
 }
 
-static inline lane impedance(const Model *model, lane gap) {
-  lane x = smallest(largest(gap, -gap) / model->imp_width, splat(1));
-  lane y = pick(x < 0.5f, 2 * x * x, 1 - 2 * (1 - x) * (1 - x));
-  return model->imp_start + y * (model->imp_end - model->imp_start);
-}
-
 /* Torques of the motors; forces that nothing balances. */
 static void motors(const Model *model, const Robots *robots, const lane *target, Work *w) {
   for (int j = 0; j < JOINTS; j++) {
@@ -299,157 +186,7 @@ static void motors(const Model *model, const Robots *robots, const lane *target,
   for (int j = 0; j < ROOT; j++) w->applied[j] = -w->bias[j];
 }
 
-/* Joints at their limits: all of them together, before the ground pushes. */
-static void limits(const Model *model, const Robots *robots, Work *w, const int *depth, int path[DOFS][PATH]) {
-  int chosen[JOINTS], count = 0;
-  lane side[JOINTS], wanted[JOINTS], soft[JOINTS], push[JOINTS], column[JOINTS][DOFS];
-  mask beyond[JOINTS];
-  for (int j = 0; j < JOINTS; j++) {
-    lane q = robots->qpos[7 + j], low = q - model->lower[j], high = model->upper[j] - q;
-    lane gap = smallest(low, high);
-    if (!any(gap < 0)) continue;
-    lane imp = impedance(model, gap);
-    chosen[count] = j;
-    beyond[count] = gap < 0;
-    side[count] = pick(low < 0, splat(1), splat(-1));
-    wanted[count] = -model->damping * side[count] * robots->qvel[ROOT + j] - model->stiffness * imp * gap;
-    soft[count] = robots->joint_weight[j] * (1 - imp) / imp;
-    push[count] = splat(0);
-    for (int k = 0; k < DOFS; k++) column[count][k] = splat(k == ROOT + j);
-    solve(w->mass, depth, path, column[count]);
-    count++;
-  }
-  for (int sweep = 0; sweep < 5; sweep++)
-    for (int i = 0; i < count; i++) {
-      int j = ROOT + chosen[i];
-      lane missing = wanted[i] - side[i] * w->accel[j] - soft[i] * push[i];
-      lane next = pick(beyond[i], largest(push[i] + missing / (column[i][j] + soft[i]), splat(0)), splat(0));
-      lane change = side[i] * (next - push[i]);
-      push[i] = next;
-      for (int k = 0; k < DOFS; k++) w->accel[k] += change * column[i][k];
-    }
-  for (int i = 0; i < count; i++) w->applied[ROOT + chosen[i]] += side[i] * push[i];
-}
-
-/* Forces on the soles: each corner has four edges of its friction pyramid. */
-static void contacts(const Model *model, Robots *robots, Work *w, const int *depth, int path[DOFS][PATH]) {
-  lane at[CONTACTS][3], gap[CONTACTS];
-  mask near = (mask)splat(0);
-  for (int c = 0; c < CONTACTS; c++) {
-    int b = model->foot[c / CORNERS];
-    turn_fixed(at[c], w->axes[b], model->corner[c]);
-    for (int i = 0; i < 3; i++) at[c][i] += w->at[b][i];
-    gap[c] = at[c][2] + robots->qpos[2] - model->corner_radius;
-    at[c][2] = 0.5f * gap[c] - robots->qpos[2];
-    near |= gap[c] < 0;
-  }
-  for (int f = 0; f < FEET; f++)
-    for (int i = 0; i < 3; i++) w->foot_force[f][i] = splat(0);
-  if (!any(near)) {
-    for (int c = 0; c < CONTACTS; c++)
-      for (int e = 0; e < 4; e++) robots->edge[c][e] = splat(0);
-    return;
-  }
-  /* How the feet accelerate under wrenches on them: A = J M^-1 J'. */
-  lane half[FEET][6][LEG], scaled[FEET][6][LEG], response[LEG][LEG], x[LEG];
-  for (int f = 0; f < FEET; f++) {
-    int last = 5 + model->foot[f];
-    for (int r = 0; r < 6; r++) {
-      lane *y = half[f][r];
-      for (int d = 0; d < LEG; d++) y[d] = w->s[path[last][d]][r];
-      for (int d = LEG - 1; d > 0; d--) {
-        const lane *row = w->mass[path[last][d]];
-        for (int e = 0; e < d; e++) y[e] -= row[e] * y[d];
-      }
-      for (int d = 0; d < LEG; d++) scaled[f][r][d] = y[d] * w->mass[path[last][d]][d];
-      lane sum = splat(0);
-      for (int d = 0; d < LEG; d++) sum += w->s[path[last][d]][r] * w->accel[path[last][d]];
-      x[6 * f + r] = sum;
-    }
-  }
-  for (int i = 0; i < LEG; i++)
-    for (int k = 0; k <= i; k++) {
-      int shared = i / 6 == k / 6 ? LEG : ROOT;
-      const lane *y = half[i / 6][i % 6], *z = scaled[k / 6][k % 6];
-      lane sum = splat(0);
-      for (int d = 0; d < shared; d++) sum += y[d] * z[d];
-      response[i][k] = response[k][i] = sum;
-    }
-  lane column[CONTACTS][3][LEG], block[CONTACTS][3][3], wanted[CONTACTS][3], soft[CONTACTS];
-  lane mu = robots->friction;
-  for (int c = 0; c < CONTACTS; c++) {
-    int f = c / CORNERS, o = 6 * f, b = model->foot[f];
-    const lane *r = at[c];
-    for (int i = 0; i < LEG; i++) {
-      const lane *a = response[i] + o;
-      column[c][0][i] = a[3] + r[2] * a[1] - r[1] * a[2];
-      column[c][1][i] = a[4] + r[0] * a[2] - r[2] * a[0];
-      column[c][2][i] = a[5] + r[1] * a[0] - r[0] * a[1];
-    }
-    for (int k = 0; k < 3; k++) {
-      const lane *a = column[c][k] + o;
-      block[c][0][k] = a[3] + r[2] * a[1] - r[1] * a[2];
-      block[c][1][k] = a[4] + r[0] * a[2] - r[2] * a[0];
-      block[c][2][k] = a[5] + r[1] * a[0] - r[0] * a[1];
-    }
-    lane imp = impedance(model, gap[c]), rate[3];
-    cross(rate, w->v[b], r);
-    for (int k = 0; k < 3; k++) wanted[c][k] = -model->damping * (w->v[b][3 + k] + rate[k]);
-    wanted[c][2] -= model->stiffness * imp * gap[c];
-    /* MuJoCo's regularization of a friction pyramid. */
-    lane weight = robots->foot_weight[f] * (1 + mu * mu);
-    soft[c] = 2 * mu * mu * weight * (1 - imp) / imp;
-    /* Forces of the step before. */
-    lane *g = robots->edge[c];
-    for (int e = 0; e < 4; e++) g[e] = pick(gap[c] < 0, g[e], splat(0));
-    lane fx = mu * (g[0] - g[1]), fy = mu * (g[2] - g[3]), fz = g[0] + g[1] + g[2] + g[3];
-    for (int i = 0; i < LEG; i++) x[i] += column[c][0][i] * fx + column[c][1][i] * fy + column[c][2][i] * fz;
-  }
-  for (int sweep = 0; sweep < model->sweeps; sweep++) {
-    lane largest_change = splat(0);
-    for (int c = 0; c < CONTACTS; c++) {
-      const lane *r = at[c], *a = x + 6 * (c / CORNERS);
-      lane *g = robots->edge[c], change[3] = {splat(0), splat(0), splat(0)};
-      lane rest[3] = {
-          a[3] + r[2] * a[1] - r[1] * a[2] - wanted[c][0],
-          a[4] + r[0] * a[2] - r[2] * a[0] - wanted[c][1],
-          a[5] + r[1] * a[0] - r[0] * a[1] - wanted[c][2],
-      };
-      for (int e = 0; e < 4; e++) {
-        int t = e / 2;
-        lane m = e % 2 ? -mu : mu;
-        lane slope = block[c][2][2] + 2 * m * block[c][2][t] + m * m * block[c][t][t] + soft[c];
-        lane now = rest[2] + m * rest[t] + soft[c] * g[e];
-        lane next = pick(gap[c] < 0, largest(g[e] - now / slope, splat(0)), splat(0));
-        lane d = next - g[e];
-        g[e] = next;
-        largest_change = largest(largest_change, largest(d, -d));
-        change[2] += d;
-        change[t] += m * d;
-        for (int k = 0; k < 3; k++) rest[k] += d * (block[c][k][2] + m * block[c][k][t]);
-      }
-      for (int i = 0; i < LEG; i++)
-        x[i] += column[c][0][i] * change[0] + column[c][1][i] * change[1] + column[c][2][i] * change[2];
-    }
-    if (!any(largest_change > model->enough)) break;
-  }
-  for (int f = 0; f < FEET; f++) {
-    lane wrench[6], moment[3];
-    for (int k = 0; k < 6; k++) wrench[k] = splat(0);
-    for (int c = CORNERS * f; c < CORNERS * (f + 1); c++) {
-      const lane *g = robots->edge[c];
-      lane push[3] = {mu * (g[0] - g[1]), mu * (g[2] - g[3]), g[0] + g[1] + g[2] + g[3]};
-      cross(moment, at[c], push);
-      for (int k = 0; k < 3; k++) {
-        wrench[k] += moment[k];
-        wrench[3 + k] += push[k];
-      }
-    }
-    for (int k = 0; k < 3; k++) w->foot_force[f][k] = wrench[3 + k];
-    int last = 5 + model->foot[f];
-    for (int d = 0; d < LEG; d++) w->applied[path[last][d]] += power(w->s[path[last][d]], wrench);
-  }
-}
+#include "lanes_limits.h"
 
 static void integrate(const Model *model, Robots *robots, const lane *accel) {
   lane h = splat(model->timestep), *q = robots->qpos, *v = robots->qvel;
@@ -528,7 +265,7 @@ static void one_step(const Model *model, Robots *robots, Work *w, const lane *ta
   for (int j = 0; j < DOFS; j++) w->accel[j] = w->applied[j];
   solve(w->mass, depth, path, w->accel);
   limits(model, robots, w, depth, path);
-  contacts(model, robots, w, depth, path);
+  contacts(model, robots, w, path);
   if (sensors) {
     lane accel[DOFS];
     for (int j = 0; j < DOFS; j++) accel[j] = w->applied[j];

@@ -35,6 +35,8 @@ def compiler() -> str | None:
 def load(source: Path) -> ctypes.CDLL:
     """The shared library of ``source``, compiled on first use and kept in the cache.
 
+    It is compiled anew when the file, or a header whose name begins with its, changes.
+
     Raises:
         InputError: there is no compiler, or it fails.
     """
@@ -46,7 +48,8 @@ def load(source: Path) -> ctypes.CDLL:
         )
     wide = platform.machine() in ("x86_64", "AMD64")
     flags = (*_FLAGS, _WIDE) if wide else _FLAGS
-    text = source.read_bytes()
+    parts = sorted((source, *source.parent.glob(f"{source.stem}*.h")))
+    text = b"".join(part.read_bytes() for part in parts)
     key = hashlib.sha256(
         text + " ".join((command, *flags)).encode() + _processor()
     ).hexdigest()[:16]

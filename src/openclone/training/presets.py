@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
 from openclone.errors import InputError
-from openclone.motion.clip import CATEGORIES, Clip
+from openclone.motion.clip import Clip
 from openclone.motion.sources.gliding import is_command
 from openclone.odometry.faults import REAL, OdometryFaultsConfig
 from openclone.odometry.noise import OdometryNoiseConfig
@@ -23,8 +23,6 @@ from openclone.training.task_config import (
     TerminationLimits,
 )
 
-GROUNDED = tuple(name for name in CATEGORIES if name != "jump")
-"""Everything but jumps."""
 _WALKING = ("stand", "forward", "turn")
 
 
@@ -43,7 +41,7 @@ class DataChoice:
             out. 1.4 leaves out jogs, runs and side-steps at a run, and keeps walks.
     """
 
-    categories: tuple[str, ...] | None = GROUNDED
+    categories: tuple[str, ...] | None = None
     recorded_only: bool = False
     commands: bool = True
     mirror: bool = True
@@ -270,7 +268,6 @@ TEACHERS = {
     "paper": TeacherPreset(
         minutes=math.inf,
         iterations=1_000_000,
-        data=DataChoice(categories=None),
         task=_PAPER_TASK,
         ppo=PpoConfig(
             steps=24,
@@ -317,7 +314,6 @@ STUDENTS = {
         minutes=math.inf,
         iterations=600_000,
         tuning_minutes=0.0,
-        data=DataChoice(categories=None),
         task=replace(_PAPER_TASK, num_envs=4096),
         distillation=DistillationConfig(
             steps=24,

@@ -32,14 +32,13 @@ from openclone.training.reference import ReferenceMotions
 from openclone.training.student_view import StudentView
 from openclone.training.task import StepResult, TrackingTask
 from openclone.training.task_config import TaskConfig
-from openclone.training.teacher import load_critic, load_teacher
+from openclone.training.teacher import CRITIC, load_critic, load_teacher
 
 CHECKPOINT = "student.pt"
 BUNDLE = "student.onnx"
 KEPT = "bundles"
 _KEPT_MINUTES = 1.9
 """Minutes between kept bundles; a little less than two, as lines come in steps."""
-_CRITIC = "critic"
 _SHOWN = (
     "falls/1000", "error_mm", "reward", "gap", "loss/imitation", "loss/balance",
 )  # fmt: skip
@@ -61,7 +60,7 @@ class StudentEnvironment:
         """Groups ``student`` and ``critic``."""
         groups = {
             GROUP: self.view.observe(),
-            _CRITIC: self.view.task.reference_observation(),
+            CRITIC: self.view.task.reference_observation(),
         }
         return TensorDict(groups, batch_size=[self.num_envs])
 
@@ -272,7 +271,7 @@ def _tuning_phase(
     env = StudentEnvironment(trainer.view(preset.tuning_task))
     student.freeze_routing()
     example = env.observe()
-    critic = load_critic(teacher, _CRITIC, preset.tuning_task)
+    critic = load_critic(teacher, CRITIC, preset.tuning_task)
     ppo = build_ppo(example, student, critic, preset.ppo)
     watchers: list[AfterUpdate] = [lambda now: _watch_routers(student, now)]
     style: AmpStyle | None = None

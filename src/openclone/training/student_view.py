@@ -8,10 +8,9 @@ import torch
 from openclone.odometry.faults import OdometryFaults, OdometryFaultsConfig
 from openclone.odometry.noise import OdometryNoise, OdometryNoiseConfig
 from openclone.policy import observation
-from openclone.policy.command import Command, KeyPoints
+from openclone.policy.command import Command, KeyPoints, command_of
 from openclone.policy.constants import Constant
 from openclone.policy.observation import History, Proprioception
-from openclone.policy.teacher import command_of
 from openclone.robot import g1
 from openclone.robot.model import CONTROL_PERIOD
 from openclone.robot.state import key_point_poses, key_point_velocities

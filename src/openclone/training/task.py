@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
+from openclone.policy.command import command_of
 from openclone.policy.constants import Constant
 from openclone.policy.teacher import (
     command_observation,
-    command_of,
     evenly_spaced,
     preview,
     teacher_observation,

@@ -52,7 +52,7 @@ class TeacherEnvironment:
         return TensorDict(groups, batch_size=[self.num_envs])
 
     def step(self, action: torch.Tensor) -> StepResult:
-        """Joint targets = reference joint angles + scale x action."""
+        """Joint targets = what the task's guidance gives + scale x action."""
         return self.task.step(self.task.residual_to_target(action))
 
 
