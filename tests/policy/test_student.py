@@ -11,7 +11,7 @@ from openclone.policy.controller import StudentController
 from openclone.policy.mlp import MlpConfig
 from openclone.policy.moe import MoeConfig
 from openclone.policy.observation import Proprioception
-from openclone.policy.student import StudentModel, export_bundle
+from openclone.policy.student import StudentModel, export_bundle, import_bundle
 from openclone.robot import g1
 
 
@@ -35,6 +35,24 @@ def test_onnx_equals_torch(exported):
     got = load_bundle(path).act(inputs.numpy())
     np.testing.assert_allclose(got, expected, atol=1e-4)
     assert np.abs(expected).max() > 0.5
+
+
+def test_a_bundle_can_be_trained_on(exported):
+    model, path = exported
+    torch.manual_seed(1)
+    again = StudentModel(MoeConfig(width=32), 0.1, observation.HISTORY)
+    import_bundle(again, path)
+    inputs = torch.randn(7, observation.student_size()) * 3
+    with torch.no_grad():
+        before = again.eval().mean_action(inputs)
+        torch.testing.assert_close(before, model.mean_action(inputs))
+        # What it has seen counts: one batch changes little.
+        again.train().obs_normalizer.update(torch.randn(64, observation.student_size()))
+        torch.testing.assert_close(
+            again.eval().mean_action(inputs), before, rtol=0, atol=1e-2
+        )
+    with pytest.raises(RuntimeError, match="size mismatch"):
+        import_bundle(StudentModel(MoeConfig(width=16), 0.1, 25), path)
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from torch import nn
 
 from openclone.cli import learning
 from openclone.errors import InputError
-from openclone.policy.bundle import load_bundle
+from openclone.policy.bundle import g1_info, load_bundle
 from openclone.policy.mlp import MlpConfig
 from openclone.training import student as student_module
 from openclone.training.checkpoint import load_checkpoint
@@ -117,6 +117,31 @@ def test_start_takes_the_networks_but_a_fresh_budget(trained, make_clip, tmp_pat
     content = load_checkpoint(path)
     assert (content["iterations"], content["steps"]) == (3, 2 * STEPS)
     assert content["ppo"]["optimizer_state_dict"]["state"][0]["step"] == 6
+
+
+def test_start_explores_as_the_preset_says(trained, make_clip, tmp_path):
+    quiet = replace(TEACHER, ppo=replace(TEACHER.ppo, initial_std=0.01), iterations=0)
+    path = train_teacher([make_clip()], quiet, tmp_path, start=trained[1], threads=1)
+    std = load_checkpoint(path)["ppo"]["actor_state_dict"]["distribution.log_std_param"]
+    torch.testing.assert_close(std.exp(), torch.full((29,), 0.01))
+
+
+def test_a_student_starts_from_a_bundle(trained, make_clip, tmp_path, monkeypatch):
+    bundle = tmp_path / "given.onnx"
+    model = student_module.StudentModel(STUDENT.network, 0.1, STUDENT.history)
+    student_module.export_bundle(model, g1_info("s", "", "", STUDENT.history), bundle)
+    monkeypatch.setattr(student_module, "export_bundle", lambda *_: None)
+    still = replace(STUDENT, iterations=0, tuning_minutes=0.0)
+    train_student([make_clip()], trained[1], still, tmp_path, start=bundle, threads=1)
+    content = load_checkpoint(tmp_path / "student.pt")
+    assert (content["steps"], content["phase"]) == (0, "dagger")
+    for name, value in model.mlp.state_dict().items():
+        torch.testing.assert_close(content["student"]["mlp." + name], value)
+    other = replace(still, history=5)
+    with pytest.raises(InputError, match="does not fit the preset's networks"):
+        train_student(
+            [make_clip()], trained[1], other, tmp_path, start=bundle, threads=1
+        )
 
 
 def test_the_average_of_the_weights_is_worked_out_step_by_step():

@@ -87,7 +87,8 @@ def train_teacher(
         minutes: wall time instead of the preset's, earlier runs included.
         categories: motion categories instead of the preset's, e.g. forward,turn.
         resume: go on from the checkpoint in the folder.
-        start: begin with the networks of this checkpoint, with a fresh budget.
+        start: begin with the networks of this checkpoint, the preset's noise and a
+            fresh budget.
         seed: of all randomness.
         threads: CPU threads; all cores by default.
         processes: that train together, each with the preset's robots and its own copy
@@ -192,7 +193,7 @@ def train_student(
         tuning_minutes: wall time of PPO instead of the preset's; 0 for none.
         categories: motion categories instead of the preset's, e.g. forward,turn.
         resume: go on from the checkpoint in the folder.
-        start: begin with the student of this checkpoint, with a fresh budget.
+        start: begin with the student of this checkpoint or bundle, with a fresh budget.
         seed: of all randomness.
         threads: CPU threads; all cores by default.
         processes: as for the teacher.

@@ -26,3 +26,17 @@ class Normalization(EmpiricalNormalization):
         self._mean += rate * step
         self._var += rate * (variance - self._var + step * (mean - self._mean))
         torch.sqrt(self._var, out=self._std)
+
+    @torch.no_grad()
+    def assume(self, mean: torch.Tensor, spread: torch.Tensor, count: int) -> None:
+        """Go on as after ``count`` observations.
+
+        Args:
+            mean: (1, d), what is taken off.
+            spread: (1, d), what is then divided by: deviation + ``eps``.
+            count: observations seen.
+        """
+        self._mean.copy_(mean)
+        self._std.copy_(spread - self.eps)
+        self._var.copy_(self._std.square())
+        self.count.fill_(count)

@@ -11,7 +11,7 @@ from tensordict import TensorDict
 from torch import nn
 
 from openclone.policy import observation
-from openclone.policy.bundle import BundleInfo, write_metadata
+from openclone.policy.bundle import BundleInfo, load_bundle, write_metadata
 from openclone.policy.mlp import MlpConfig, MlpNetwork
 from openclone.policy.moe import MoeConfig, MoeNetwork
 from openclone.policy.normalization import Normalization
@@ -86,10 +86,14 @@ class _Exported(nn.Module):
 
     def __init__(self, model: StudentModel) -> None:
         super().__init__()
-        self.normalizer, self.network = model.obs_normalizer, model.mlp
+        normalizer = model.obs_normalizer
+        assert isinstance(normalizer, Normalization)
+        self.network = model.mlp
+        self.register_buffer("mean", normalizer.mean[None])
+        self.register_buffer("spread", normalizer.std[None] + normalizer.eps)
 
     def forward(self, inputs: torch.Tensor) -> torch.Tensor:
-        return self.network(self.normalizer(inputs))
+        return self.network((inputs - self.mean) / self.spread)
 
 
 def export_bundle(model: StudentModel, info: BundleInfo, path: Path) -> None:
@@ -108,3 +112,35 @@ def export_bundle(model: StudentModel, info: BundleInfo, path: Path) -> None:
         verbose=False,
     )
     write_metadata(path, info)
+
+
+_SEEN = 10_000_000
+"""Observations that the normalization of a bundle counts as seen."""
+
+
+def import_bundle(model: StudentModel, path: Path) -> None:
+    """Give ``model`` the weights of a bundle written by `export_bundle`.
+
+    Raises:
+        InputError: not a bundle, or one of another robot or observation layout.
+        KeyError, RuntimeError: a bundle of another network than the model's.
+    """
+    import onnx
+    from onnx import numpy_helper
+
+    load_bundle(path)
+    graph = onnx.load(str(path), load_external_data=False).graph
+    values = {
+        value.name: torch.from_numpy(numpy_helper.to_array(value).copy())
+        for value in graph.initializer
+    }
+    prefix = "network."
+    weights = {
+        name.removeprefix(prefix): value
+        for name, value in values.items()
+        if name.startswith(prefix)
+    }
+    model.network.load_state_dict(weights)
+    normalizer = model.obs_normalizer
+    assert isinstance(normalizer, Normalization)
+    normalizer.assume(values["mean"], values["spread"], _SEEN)

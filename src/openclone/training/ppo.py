@@ -144,6 +144,18 @@ def resume_ppo(ppo: PPO, content: dict[str, Any]) -> None:
     fuse(ppo.optimizer)
 
 
+def _log_std(ppo: PPO) -> torch.Tensor:
+    noise = ppo.get_policy().distribution
+    assert isinstance(noise, GaussianDistribution)
+    return noise.log_std_param
+
+
+@torch.no_grad()
+def renew_noise(ppo: PPO, config: PpoConfig) -> None:
+    """Explore as at the start of a run; what has learned has little noise left."""
+    _log_std(ppo).fill_(math.log(config.initial_std))
+
+
 _SCHEDULE_STEPS = 20
 """Targets change in this many steps, so that wall time decides little."""
 
@@ -163,9 +175,7 @@ def settle(ppo: PPO, config: PpoConfig, share: float) -> None:
     if config.final_std is not None:
         bound = math.log(config.initial_std)
         bound += share * math.log(config.final_std / config.initial_std)
-        noise = ppo.get_policy().distribution
-        assert isinstance(noise, GaussianDistribution)
-        noise.log_std_param.clamp_(max=bound)
+        _log_std(ppo).clamp_(max=bound)
 
 
 AfterUpdate = Callable[[TensorDict], dict[str, float]]

@@ -13,7 +13,7 @@ from torch import nn
 
 from openclone.motion.clip import Clip, clip_hash
 from openclone.policy.bundle import g1_info
-from openclone.policy.student import GROUP, StudentModel, export_bundle
+from openclone.policy.student import GROUP, StudentModel, export_bundle, import_bundle
 from openclone.training.amp import AmpStyle
 from openclone.training.checkpoint import (
     fitting,
@@ -162,6 +162,20 @@ class StudentTrainer:
             self.phase = content["phase"]
         return content
 
+    def begin(self, path: Path) -> dict[str, Any]:
+        """Start with the student of a checkpoint or bundle, with a fresh budget.
+
+        Returns:
+            the checkpoint's content; nothing for a bundle.
+        """
+        if path.suffix == Path(BUNDLE).suffix:
+            with fitting(path):
+                import_bundle(self.student, path)
+            return {}
+        content = self.resume(path)
+        self.trained = Trained(steps=self.trained.steps)
+        return content
+
 
 def train_student(
     clips: list[Clip],
@@ -190,8 +204,8 @@ def train_student(
         minutes: wall time of DAgger instead of the preset's.
         tuning_minutes: wall time of PPO instead of the preset's; 0 for none.
         resume: go on from the checkpoint in ``out``, time included.
-        start: begin with the student of this checkpoint, in its phase, with a fresh
-            budget.
+        start: begin with the student of this checkpoint, in its phase, or of this
+            bundle, with a fresh budget.
         seed: of all randomness.
         threads: CPU threads; all cores by default.
         hardware: back-end of the physics and device; the CPU by default.
@@ -208,8 +222,7 @@ def train_student(
         if resume:
             content = trainer.resume(out / CHECKPOINT)
         elif start is not None:
-            content = trainer.resume(start)
-            trainer.trained = Trained(steps=trainer.trained.steps)
+            content = trainer.begin(start)
         if trainer.phase == "dagger":
             _dagger_phase(trainer, teacher, dagger_minutes, content)
             content = {}

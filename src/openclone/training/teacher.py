@@ -25,7 +25,14 @@ from openclone.training.checkpoint import (
 from openclone.training.data import load_reference, make_task
 from openclone.training.distributed import joined, team
 from openclone.training.hardware import Hardware, keep_memory
-from openclone.training.ppo import PpoConfig, build_ppo, learn, mlp_model, resume_ppo
+from openclone.training.ppo import (
+    PpoConfig,
+    build_ppo,
+    learn,
+    mlp_model,
+    renew_noise,
+    resume_ppo,
+)
 from openclone.training.presets import TeacherPreset
 from openclone.training.progress import Budget, Progress, Trained
 from openclone.training.task import StepResult, TrackingTask
@@ -110,6 +117,12 @@ class TeacherTrainer:
                 starts.failures = content["failures"].to(starts.failures)
             return trained_so_far(content)
 
+    def begin(self, path: Path) -> Trained:
+        """Start with the networks of a checkpoint, but with the preset's noise."""
+        steps = self.resume(path).steps
+        renew_noise(self.ppo, self.preset.ppo)
+        return Trained(steps=steps)
+
     def save(self, path: Path, progress: Progress) -> None:
         """Write everything needed to go on; one process of the team does."""
         if not team().leads:
@@ -174,7 +187,8 @@ def train_teacher(
         out: folder for checkpoint and event files.
         minutes: total wall time instead of the preset's, earlier runs included.
         resume: go on from the checkpoint in ``out``, time included.
-        start: begin with the networks of this checkpoint, with a fresh budget.
+        start: begin with the networks of this checkpoint, the preset's noise and a
+            fresh budget.
         seed: of all randomness.
         threads: CPU threads; all cores by default.
         hardware: back-end of the physics and device; the CPU by default.
@@ -188,7 +202,7 @@ def train_teacher(
         if resume:
             trained = trainer.resume(path)
         elif start is not None:
-            trained = Trained(steps=trainer.resume(start).steps)
+            trained = trainer.begin(start)
         if crew.leads:
             print(trainer.task.reference.summary())
         progress = Progress(out, budget, trained)
