@@ -108,7 +108,7 @@ _FAST_PPO = PpoConfig(
     final_kl=0.015,
     entropy=0.0,
     initial_std=0.25,
-    final_std=0.09,
+    final_std=0.07,
     hidden=(512, 256, 128),
 )
 _QUICKSTART_PPO = PpoConfig(

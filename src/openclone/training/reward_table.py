@@ -125,7 +125,7 @@ is printed with +500 on an error, which would reward wrong hands: it is negative
 
 FAST = RewardWeights(
     vr_position=4.0,
-    extend_body_position=1.0,
+    extend_body_position=2.0,
     body_position=2.0,
     root_position=2.0,
     root_rotation=1.0,
@@ -143,6 +143,9 @@ FAST = RewardWeights(
     feet_still=-0.5,
     contact_mismatch=-0.2,
     airborne=-2.0,
+    widths=RewardWidths(
+        vr_position=0.15**2, extend_body_position=0.2**2, body_position=0.15**2
+    ),
     limit=400.0,
 )
 """What the shipped teacher was trained with."""
