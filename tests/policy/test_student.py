@@ -51,6 +51,7 @@ def test_a_bundle_can_be_trained_on(exported):
         torch.testing.assert_close(
             again.eval().mean_action(inputs), before, rtol=0, atol=1e-2
         )
+    import_bundle(StudentModel(MoeConfig(), 0.1, 25), packaged_bundle())
     with pytest.raises(RuntimeError, match="size mismatch"):
         import_bundle(StudentModel(MoeConfig(width=16), 0.1, 25), path)
 
