@@ -36,7 +36,6 @@ class Normalization(EmpiricalNormalization):
             spread: (1, d), what is then divided by: deviation + ``eps``.
             count: observations seen.
         """
-        self._mean.copy_(mean)
-        self._std.copy_(spread - self.eps)
-        self._var.copy_(self._std.square())
-        self.count.fill_(count)
+        state = {"_mean": mean, "_std": spread - self.eps}
+        state |= {"_var": state["_std"].square(), "count": torch.tensor(count)}
+        self.load_state_dict(state)

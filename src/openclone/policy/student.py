@@ -84,6 +84,9 @@ class StudentModel(MLPModel):
 class _Exported(nn.Module):
     """The deterministic part, as ONNX sees it."""
 
+    mean: torch.Tensor
+    spread: torch.Tensor
+
     def __init__(self, model: StudentModel) -> None:
         super().__init__()
         normalizer = model.obs_normalizer
