@@ -37,5 +37,8 @@ class Normalization(EmpiricalNormalization):
             count: observations seen.
         """
         state = {"_mean": mean, "_std": spread - self.eps}
-        state |= {"_var": state["_std"].square(), "count": torch.tensor(count)}
+        state |= {
+            "_var": state["_std"].square(),
+            "count": torch.full_like(self.count, count),
+        }
         self.load_state_dict(state)
