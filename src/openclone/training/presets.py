@@ -331,6 +331,7 @@ STUDENTS = {
         teacher="quickstart",
         task=replace(
             _STUDENT_TASK,
+            num_envs=512,
             view="reference",
             guidance="feedback",
             push_speed=0.5,
