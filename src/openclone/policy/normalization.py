@@ -36,9 +36,11 @@ class Normalization(EmpiricalNormalization):
             spread: (1, d), what is then divided by: deviation + ``eps``.
             count: observations seen.
         """
-        state = {"_mean": mean, "_std": spread - self.eps}
-        state |= {
-            "_var": state["_std"].square(),
+        deviation = spread - self.eps
+        state = {
+            "_mean": mean,
+            "_std": deviation,
+            "_var": deviation.square(),
             "count": torch.full_like(self.count, count),
         }
         self.load_state_dict(state)
