@@ -5,12 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from tensordict import TensorDict
 
 from openclone.errors import InputError
 from openclone.odometry.noise import OdometryNoiseConfig
 from openclone.policy.command import command_of
 from openclone.policy.observation import HISTORY, TASK_SIZE
-from openclone.policy.teacher import COMMAND_SIZE, command_observation
+from openclone.policy.teacher import (
+    COMMAND_SIZE,
+    LEGS_SIZE,
+    command_observation,
+    legs_observation,
+)
 from openclone.robot import g1
 from openclone.spatial import rotations
 from openclone.training import student as student_module
@@ -21,6 +27,7 @@ from openclone.training.teacher import (
     CRITIC,
     GROUP,
     TeacherEnvironment,
+    TeacherTrainer,
     load_teacher,
     train_teacher,
 )
@@ -63,7 +70,24 @@ def test_the_reference_s_legs_are_not_seen(make_task):
     )
 
 
-def test_neither_place_nor_heading_matters(make_task):
+def test_with_the_legs_in_view_they_are_seen_and_nothing_else_changes(make_task):
+    task = make_task(4, **{**CALM, "view": "legs"})
+    robot, reference = task.robot_state(), task.next_reference()
+    seen = task.teacher_observation()
+    assert seen.shape == (4, COMMAND_SIZE + LEGS_SIZE)
+    torch.testing.assert_close(seen[:, :COMMAND_SIZE], task.command_observation())
+    legs = seen[:, COMMAND_SIZE:]
+    default = torch.tensor(g1.DEFAULT_POSE[:15], dtype=legs.dtype)
+    torch.testing.assert_close(legs[:, :15], reference.joint_angles[:, :15] - default)
+    left, pelvis = (reference.body_position[:, k] for k in (g1.FEET[0], g1.ROOT))
+    heading = rotations.heading(robot.body_quat[:, g1.ROOT])
+    foot = rotations.rotate_inverse(heading, left - pelvis)
+    torch.testing.assert_close(legs[:, 36:39], foot)
+    torch.testing.assert_close(legs[:, -1], pelvis[:, 2])
+
+
+@pytest.mark.parametrize("view", ["command", "legs"])
+def test_neither_place_nor_heading_matters(make_task, view):
     task = make_task(4, **CALM)
     turn = rotations.from_yaw(torch.tensor(1.1))
     shift = torch.tensor([3.0, -2.0, 0.0])
@@ -82,6 +106,8 @@ def test_neither_place_nor_heading_matters(make_task):
 
     def look(change):
         robot, reference = change(task.robot_state()), change(task.next_reference())
+        if view == "legs":
+            return legs_observation(robot, reference)
         return command_observation(robot, command_of(reference), task.action)
 
     torch.testing.assert_close(
@@ -107,6 +133,9 @@ def test_training_end_to_end_and_other_views_are_refused(
     path = train_teacher(clips, preset, tmp_path, threads=1)
     assert load_teacher(path, preset.task).obs_dim == COMMAND_SIZE
     train_teacher(clips, preset, tmp_path / "on", start=path, threads=1)
+    legs = replace(preset, task=replace(preset.task, view="legs"))
+    wider = train_teacher(clips, legs, tmp_path / "legs", start=path, threads=1)
+    assert load_teacher(wider, legs.task).obs_dim == COMMAND_SIZE + LEGS_SIZE
     with pytest.raises(InputError, match="view is 'command', the task's 'reference'"):
         train_teacher(clips, smoke, tmp_path / "other", start=path, threads=1)
     student = STUDENTS["smoke"]
@@ -118,6 +147,23 @@ def test_training_end_to_end_and_other_views_are_refused(
     train_student(clips, path, alike, tmp_path, threads=1)
     with pytest.raises(InputError, match="view is 'command', the task's 'reference'"):
         train_student(clips, path, student, tmp_path / "other", threads=1)
+
+
+def test_a_teacher_that_comes_to_see_the_legs_does_at_first_as_before(
+    make_clip, tmp_path
+):
+    clips, smoke = [make_clip()], TEACHERS["smoke"]
+    preset = replace(smoke, task=replace(smoke.task, **VIEW))
+    path = train_teacher(clips, preset, tmp_path, threads=1)
+    legs = replace(preset, task=replace(preset.task, view="legs"))
+    trainer = TeacherTrainer(clips, legs, 0, 1)
+    trainer.begin(path)
+    seen = TeacherEnvironment(trainer.task).observe()
+    narrow = TensorDict({GROUP: seen[GROUP][:, :COMMAND_SIZE]}, batch_size=[16])
+    with torch.no_grad():
+        torch.testing.assert_close(
+            trainer.ppo.actor(seen), load_teacher(path)(narrow), atol=1e-4, rtol=1e-4
+        )
 
 
 @pytest.mark.parametrize("name", list(STUDENTS))

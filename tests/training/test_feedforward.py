@@ -3,6 +3,7 @@ import numpy as np
 import torch
 
 from openclone.motion.sources.synthetic import generate
+from openclone.policy.teacher import LEGS
 from openclone.robot import g1
 from openclone.robot.model import standing_qpos
 from openclone.training.feedforward import feedforward
@@ -71,6 +72,18 @@ def test_the_teachers_zero_is_the_feedforward_and_the_feedback(make_task, refere
     assert float(ahead.feedback().abs().max()) > 0.01
     ahead.step(ahead.residual_to_target(torch.full((2, 29), 0.5)))
     torch.testing.assert_close(ahead.action, torch.full((2, 29), 0.5))
+
+
+def test_with_guided_arms_the_legs_keep_to_the_default_pose(make_task):
+    kinds = ("pose", "arms", "feedforward")
+    tasks = [make_task(2, guidance=kind) for kind in kinds]
+    for task in tasks:
+        task.jump_to(torch.tensor([3, 7]))
+    pose, arms, ahead = (task.residual_to_target(torch.zeros(2, 29)) for task in tasks)
+    torch.testing.assert_close(arms[:, LEGS], pose[:, LEGS])
+    torch.testing.assert_close(arms[:, LEGS.stop :], ahead[:, LEGS.stop :])
+    for other in (pose, ahead):
+        assert not torch.allclose(arms, other)
 
 
 def test_every_frame_has_finite_targets_within_the_motors_reach(model):

@@ -182,6 +182,7 @@ CLOSENESS = (
     rewards.body_velocity,
     rewards.body_angular_velocity,
     rewards.body_position,
+    rewards.hand_position,
     rewards.root_position,
     rewards.root_rotation,
 )
@@ -234,6 +235,14 @@ def test_rotations_of_a_robot_turned_by_a_known_angle(perfect):
     for term in (rewards.body_rotation, rewards.root_rotation):
         assert float(term(perfect, 0.1)) == pytest.approx(expected, abs=1e-4)
     assert float(rewards.body_hand_rotation(perfect)) == pytest.approx(0.04, abs=1e-5)
+
+
+def test_hands_are_seen_from_the_head(perfect):
+    perfect.robot.body_position[:, :, 0] += 0.3  # all together: no error
+    perfect.robot.body_position[0, g1.WRISTS[0], 1] += 0.2
+    # A mean over two hands: 0.04 / 2 m².
+    got = float(rewards.hand_position(perfect, 0.01))
+    assert got == pytest.approx(math.exp(-2.0), abs=1e-4)
 
 
 def test_velocities(perfect):

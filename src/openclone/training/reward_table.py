@@ -33,6 +33,7 @@ class RewardWidths:
     body_velocity: float = 1.0**2
     body_angular_velocity: float = 3.14**2
     body_position: float = 0.25**2
+    hand_position: float = 0.06**2
     root_position: float = 0.2**2
     root_rotation: float = 0.4**2
 
@@ -72,6 +73,7 @@ class RewardWeights:
     body_hand_rotation: float = 0.0
     amp: float = 0.0
     body_position: float = 0.0
+    hand_position: float = 0.0
     root_position: float = 0.0
     root_rotation: float = 0.0
     hand_rotation: float = 0.0
@@ -177,6 +179,7 @@ _PLAIN: tuple[Callable[[TrackingState], torch.Tensor], ...] = (
 _CLOSENESS: tuple[Callable[[TrackingState, float], torch.Tensor], ...] = (
     rewards.vr_position,
     rewards.body_position,
+    rewards.hand_position,
     rewards.root_position,
     rewards.root_rotation,
     rewards.body_rotation,

@@ -278,6 +278,12 @@ def body_position(s: TrackingState, width: float) -> torch.Tensor:
     return _closeness(_mean_square(error), width)
 
 
+def hand_position(s: TrackingState, width: float) -> torch.Tensor:
+    """Hands against the command, both relative to the head, world; width in m²."""
+    offsets = s.point_offsets
+    return _closeness(_mean_square(offsets[:, 1:] - offsets[:, :1]), width)
+
+
 def root_position(s: TrackingState, width: float) -> torch.Tensor:
     """Torso position in the world; closes the loop; width in m²."""
     error = s.robot.body_position[:, g1.TORSO] - s.reference.body_position[:, g1.TORSO]

@@ -11,8 +11,10 @@ import torch
 from openclone.policy.command import command_of
 from openclone.policy.constants import Constant
 from openclone.policy.teacher import (
+    LEGS,
     command_observation,
     evenly_spaced,
+    legs_observation,
     preview,
     teacher_observation,
 )
@@ -178,6 +180,9 @@ class TrackingTask:
         if guidance != "angles":
             ahead = self.reference.feedforward.index_select(0, self.next_frame())
             targets = targets + ahead
+        if guidance == "arms":
+            legs = _DEFAULT_POSE.like(targets)[LEGS].expand(self.num_envs, -1)
+            targets = torch.cat((legs, targets[:, LEGS.stop :]), 1)
         return targets + self.feedback() if guidance == "feedback" else targets
 
     def feedback(self) -> torch.Tensor:
@@ -191,9 +196,13 @@ class TrackingTask:
 
     def teacher_observation(self) -> torch.Tensor:
         """(n, d): what the teacher sees, by the configured view."""
-        if self.config.view == "command":
-            return self.command_observation()
-        return self.reference_observation()
+        if self.config.view == "reference":
+            return self.reference_observation()
+        seen = self.command_observation()
+        if self.config.view == "legs":
+            legs = legs_observation(self._state, self.next_reference())
+            seen = torch.cat((seen, legs), 1)
+        return seen
 
     @on_one_thread
     def command_observation(self) -> torch.Tensor:
