@@ -2,7 +2,7 @@
 
 Either the whole reference motion, or only what the student is told of it, so that both
 have the same task; or that and the reference's legs. Head and hands tell most about
-these (a regression finds the key bodies to 38 mm), but little that PPO finds by itself.
+these, but PPO does not find that by itself.
 """
 
 from __future__ import annotations
@@ -161,9 +161,9 @@ def command_observation(
 def legs_observation(robot: RobotState, reference: RobotState) -> torch.Tensor:
     """What the legs of the reference do, ``(n, LEGS_SIZE)``.
 
-    Contents: angles and velocities of legs and waist; knees, feet and the feet's
-    velocities relative to the pelvis, and its heading, in the robot's heading frame;
-    its height.
+    Contents: angles (rad, from the default pose) and velocities (x 0.05 rad/s) of legs
+    and waist; knees and feet (m) and the feet's velocities (x 0.5 m/s) relative to the
+    pelvis, and its heading, in the robot's heading frame; its height (m).
 
     Args:
         robot: current states.

@@ -10,7 +10,6 @@ import torch
 from rsl_rl.algorithms import PPO
 from rsl_rl.models import MLPModel
 from tensordict import TensorDict
-from torch.nn.functional import pad
 
 from openclone.errors import InputError
 from openclone.motion.clip import Clip, clip_hash
@@ -105,9 +104,7 @@ class TeacherTrainer:
 
     def resume(self, path: Path) -> Trained:
         """Go on from the checkpoint ``path``."""
-        return self._take(load_checkpoint(path), path)
-
-    def _take(self, content: dict[str, Any], path: Path) -> Trained:
+        content = load_checkpoint(path)
         _check_view(content, self.preset.task, path)
         with fitting(path):
             resume_ppo(self.ppo, content["ppo"])
@@ -121,15 +118,8 @@ class TeacherTrainer:
             return trained_so_far(content)
 
     def begin(self, path: Path) -> Trained:
-        """Start with the networks of a checkpoint, but with the preset's noise.
-
-        A teacher that saw the command alone goes on when it also sees the legs.
-        """
-        content = load_checkpoint(path)
-        if (_view(content), self.preset.task.view) == ("command", "legs"):
-            with fitting(path):
-                _see_legs(content, self.task.teacher_observation()[:, -LEGS_SIZE:])
-        steps = self._take(content, path).steps
+        """Start with the networks of a checkpoint, but with the preset's noise."""
+        steps = self.resume(path).steps
         renew_noise(self.ppo, self.preset.ppo)
         return Trained(steps=steps)
 
@@ -264,29 +254,6 @@ def _load(
 def _view(content: dict[str, Any]) -> str:
     """What the teacher of a checkpoint sees; early ones all saw the reference."""
     return content.get("view", "reference")
-
-
-def _see_legs(content: dict[str, Any], legs: torch.Tensor) -> None:
-    """Let the teacher of a checkpoint see the legs, without heeding them yet.
-
-    Args:
-        content: of the checkpoint; changed.
-        legs: (n, LEGS_SIZE), examples, for mean and spread.
-    """
-    ppo = content["ppo"]
-    actor, moments = ppo["actor_state_dict"], ppo["optimizer_state_dict"]["state"]
-    first = actor["mlp.0.weight"]
-    for state in moments.values():
-        for name, value in state.items():
-            if value.shape == first.shape:
-                state[name] = pad(value, (0, LEGS_SIZE))
-    actor["mlp.0.weight"] = pad(first, (0, LEGS_SIZE))
-    spread = legs.std(0, keepdim=True).clamp(min=0.01)
-    known = {"_mean": legs.mean(0, keepdim=True), "_std": spread, "_var": spread**2}
-    for name, value in known.items():
-        key = f"obs_normalizer.{name}"
-        actor[key] = torch.cat((actor[key], value.to(actor[key])), 1)
-    content["view"] = "legs"
 
 
 def _check_view(content: dict[str, Any], task: TaskConfig, path: Path) -> None:
