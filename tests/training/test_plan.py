@@ -13,6 +13,7 @@ from openclone.cli import learning
 from openclone.errors import InputError
 from openclone.policy.teacher import teacher_size
 from openclone.training import plan
+from openclone.training.imitation import ImitationConfig
 from openclone.training.presets import TEACHERS
 from openclone.training.progress import Budget
 from openclone.training.teacher import TeacherTrainer
@@ -74,14 +75,24 @@ def test_command_prints_and_writes_the_plan(tmp_path, capsys):
         assert 500 < phase["memory_mb"] < 2000
 
 
-def test_gains_are_planned_where_the_task_needs_them():
-    tasks = [SMOKE.task, replace(SMOKE.task, guidance="feedback")]
-    assert plan.plan_gains(tasks[:1], 30.0, 2) == []
-    (one,) = plan.plan_gains(tasks, 30.0, 1)
+def test_gains_take_four_kilobytes_a_frame():
+    one = plan.plan_gains(30.0, 1)
     assert one.steps == 30 * 60 * 50
     assert one.minutes == pytest.approx(one.steps / one.steps_per_s / 60)
-    # 4 kilobytes a frame: (29 x 71) halves.
+    # (29 x 71) halves.
     assert one.memory_mb - 800 == pytest.approx(90_000 * 4118 / 2**20)
+
+
+def test_a_copy_is_planned_with_its_gains(tmp_path, capsys, monkeypatch):
+    lesson = ImitationConfig(minutes=math.inf, iterations=5, steps=4, batch=32)
+    copying = replace(SMOKE, imitation=lesson, amp=None)
+    monkeypatch.setitem(TEACHERS, "smoke", copying)
+    path = tmp_path / "plan.json"
+    learning.train_plan(preset="smoke", seconds=0.05, threads=1, json=path)
+    assert "feedback gains" in capsys.readouterr().out
+    _, copy, ppo, *_ = json.loads(path.read_text())["phases"]
+    assert (copy["phase"], ppo["phase"]) == ("teacher, copy", "teacher, PPO")
+    assert copy["steps"] == pytest.approx(5 * 4 * 16)
 
 
 def test_unknown_preset_lists_all():

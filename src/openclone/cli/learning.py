@@ -84,7 +84,7 @@ def train_teacher(
         motions: folders of recordings with a manifest.tsv (split train), or of clip
             files; by default synthetic motions.
         out: folder for the checkpoint and the event files.
-        minutes: wall time instead of the preset's, earlier runs included.
+        minutes: wall time of PPO instead of the preset's, earlier runs included.
         categories: motion categories instead of the preset's, e.g. forward,turn.
         resume: go on from the checkpoint in the folder.
         start: begin with the networks of this checkpoint, the preset's noise and a
@@ -307,10 +307,11 @@ def train_plan(
         names = ", ".join(dict.fromkeys((*TEACHERS, *STUDENTS)))
         raise InputError(f"unknown preset {preset!r}", remedy=f"use one of {names}")
     teacher, student = TEACHERS.get(preset), STUDENTS.get(preset)
-    tasks = [choice.task for choice in (teacher, student) if choice is not None]
-    phases = plan.plan_gains(tasks, motion_minutes, threads)
+    phases = []
+    if any(choice and choice.needs_feedback for choice in (teacher, student)):
+        phases.append(plan.plan_gains(motion_minutes, threads))
     if teacher is not None:
-        phases.append(plan.plan_teacher(teacher, seconds, motion_minutes, threads))
+        phases += plan.plan_teacher(teacher, seconds, motion_minutes, threads)
     if student is not None:
         phases += plan.plan_student(student, seconds, motion_minutes, threads)
     available = plan.machine_memory_mb()

@@ -24,6 +24,7 @@ from openclone.robot import g1
 from openclone.robot.model import SUBSTEPS, build_model, standing_qpos
 from openclone.training.demonstrations import round_bytes
 from openclone.training.distillation import Dagger, distill
+from openclone.training.imitation import Imitation, ImitationConfig
 from openclone.training.ppo import (
     PpoConfig,
     PpoEnvironment,
@@ -41,6 +42,7 @@ from openclone.training.reference import generalized_velocities
 from openclone.training.regulator import DEVIATION_SIZE, Motion, regulate
 from openclone.training.student import StudentEnvironment, StudentTrainer
 from openclone.training.task_config import TaskConfig
+from openclone.training.teacher import GROUP as TEACHER
 from openclone.training.teacher import TeacherEnvironment, TeacherTrainer
 from openclone.training.terrain import build_training_model
 
@@ -61,7 +63,7 @@ class PhasePlan:
     """The cost of one phase.
 
     Attributes:
-        phase: feedback gains, teacher, DAgger or PPO on the student.
+        phase: feedback gains; copy or PPO of the teacher; DAgger or PPO of the student.
         robots: simulated together.
         steps_per_s: control steps per second, measured; of gains, frames.
         steps: control steps in all.
@@ -79,15 +81,11 @@ class PhasePlan:
     memory_mb: float
 
 
-def plan_gains(
-    tasks: list[TaskConfig], motion_minutes: float, threads: int | None
-) -> list[PhasePlan]:
-    """Measure the gains of one short motion, if any of ``tasks`` needs gains.
+def plan_gains(motion_minutes: float, threads: int | None) -> PhasePlan:
+    """Measure the gains of one short motion.
 
     They are computed once for all phases; those in the cache cost nothing.
     """
-    if all(task.guidance != "feedback" for task in tasks):
-        return []
     model, qpos = build_training_model(), waving().qpos
     motion = Motion(qpos, generalized_velocities(model, qpos), qpos[:, 7:])
     start = time.perf_counter()
@@ -99,24 +97,58 @@ def plan_gains(
     minutes = frames / rate / 60
     memory_mb = memory / 2**20
     phase = "feedback gains"
-    return [PhasePlan(phase, cores, rate, frames, frames, minutes, memory_mb)]
+    return PhasePlan(phase, cores, rate, frames, frames, minutes, memory_mb)
 
 
 def plan_teacher(
     preset: TeacherPreset, seconds: float, motion_minutes: float, threads: int | None
-) -> PhasePlan:
-    """Measure the teacher's PPO for ``seconds``; data of ``motion_minutes``."""
+) -> list[PhasePlan]:
+    """Measure each phase for ``seconds``; data of ``motion_minutes``."""
     small = replace(preset, task=_measured(preset.task))
     trainer = TeacherTrainer([waving()], small, 0, threads)
+    held = _robot_bytes(preset.task) + _data_bytes(motion_minutes, preset)
+    plans = []
+    if preset.imitation is not None:
+        plans.append(_plan_imitation(trainer, preset, preset.imitation, seconds, held))
     env, config = TeacherEnvironment(trainer.task), preset.ppo
     rate = _ppo_rate(env, trainer.ppo, config, seconds)
     robots = preset.task.num_envs
-    memory = _ppo_bytes(trainer.ppo, config, robots)
+    memory = held + _ppo_bytes(trainer.ppo, config, robots)
     if trainer.style is not None and preset.amp is not None:
         memory += 4 * preset.amp.replay * 80 + _network_bytes(trainer.style.net)
-    memory += _robot_bytes(preset.task) + _data_bytes(motion_minutes, preset.task)
     bounds = Budget(preset.minutes, preset.iterations)
-    return _phase("teacher", robots, config.steps, rate, bounds, memory)
+    plans.append(_phase("teacher, PPO", robots, config.steps, rate, bounds, memory))
+    return plans
+
+
+def _plan_imitation(
+    trainer: TeacherTrainer,
+    preset: TeacherPreset,
+    config: ImitationConfig,
+    seconds: float,
+    held: float,
+) -> PhasePlan:
+    task, robots = trainer.task, preset.task.num_envs
+    share = task.num_envs / robots
+    few = replace(config, batch=max(1, round(config.batch * share)), kept_rounds=1)
+
+    with tempfile.TemporaryDirectory() as folder:
+        log = Progress(Path(folder), Budget(math.inf))
+        imitation = Imitation(task, trainer.ppo.actor, TEACHER, few, log)
+
+        def iteration(progress: Progress) -> None:
+            before = log.steps
+            imitation.collect()
+            imitation.update()
+            progress.steps += log.steps - before
+
+        rate = _rate(iteration, seconds)
+        log.close()
+    seen = 4 * (task.teacher_observation().shape[1] + g1.NUM_JOINTS)
+    memory = held + seen * robots * config.steps * config.kept_rounds
+    memory += _network_bytes(trainer.ppo.actor)
+    bounds = Budget(config.minutes, config.iterations)
+    return _phase("teacher, copy", robots, config.steps, rate, bounds, memory)
 
 
 def plan_student(
@@ -128,7 +160,7 @@ def plan_student(
     )
     with tempfile.TemporaryDirectory() as folder:
         trainer = StudentTrainer([waving()], small, Path(folder), 0, threads)
-        data = _data_bytes(motion_minutes, preset.task)
+        data = _data_bytes(motion_minutes, preset)
         plans = [_plan_dagger(trainer, preset, seconds, data, Path(folder))]
         if preset.tuning_minutes > 0:
             plans.append(_plan_tuning(trainer, preset, seconds, data))
@@ -261,8 +293,8 @@ def _robot_bytes(task: TaskConfig) -> float:
     return task.num_envs * each
 
 
-def _data_bytes(motion_minutes: float, task: TaskConfig) -> float:
-    frame = _FRAME_BYTES + (task.guidance == "feedback") * _GAIN_BYTES
+def _data_bytes(motion_minutes: float, preset: TeacherPreset | StudentPreset) -> float:
+    frame = _FRAME_BYTES + preset.needs_feedback * _GAIN_BYTES
     return _WORKING_BYTES + motion_minutes * 60 * 50 * frame
 
 

@@ -15,6 +15,7 @@ from openclone.policy.mlp import MlpConfig
 from openclone.policy.moe import MoeConfig
 from openclone.training.amp import AmpConfig
 from openclone.training.data import is_recorded, select_clips
+from openclone.training.imitation import ImitationConfig
 from openclone.training.ppo import PpoConfig
 from openclone.training.reward_table import FAST, PAPER
 from openclone.training.task_config import (
@@ -87,15 +88,17 @@ _FAST_TASK = TaskConfig(
     view="command",
     guidance="pose",
 )
-# Feedback would hold the teacher to feet that glide.
+# Nobody can copy feedback on feet that glide.
 _QUICKSTART_DATA = DataChoice(categories=_WALKING, commands=False, mirror=False)
 _QUICKSTART_TASK = TaskConfig(
     num_envs=512,
-    guidance="feedback",
+    view="legs",
+    guidance="arms",
     limits=_BEFORE_THE_FALL,
     failure_share=0.5,
+    run_up=75,
     push_speed=0.5,
-    displaced_share=0.2,
+    displaced_share=0.1,
     standing_share=0.1,
 )
 # Much noise at first: with little, a step within the KL budget is tiny.
@@ -131,9 +134,10 @@ class TeacherPreset:
     """Settings of one teacher run.
 
     Attributes:
-        minutes: wall time.
-        iterations: PPO iterations, if they end the run instead.
+        minutes: wall time of PPO.
+        iterations: PPO iterations, if they end it instead.
         data, task, ppo: see there.
+        imitation: the copy of linear feedback that comes before PPO; None for none.
         amp: the style reward; None for none.
     """
 
@@ -142,7 +146,13 @@ class TeacherPreset:
     data: DataChoice = field(default_factory=DataChoice)
     task: TaskConfig = _FAST_TASK
     ppo: PpoConfig = _FAST_PPO
+    imitation: ImitationConfig | None = None
     amp: AmpConfig | None = None
+
+    @property
+    def needs_feedback(self) -> bool:
+        """Whether gains must be computed before."""
+        return self.imitation is not None or self.task.guidance == "feedback"
 
     def select(self, clips: list[Clip]) -> list[Clip]:
         """The training motions among ``clips``."""
@@ -240,6 +250,11 @@ class StudentPreset:
     ppo: PpoConfig = _TUNING_PPO
     amp: AmpConfig | None = None
 
+    @property
+    def needs_feedback(self) -> bool:
+        """Whether gains must be computed before."""
+        return self.task.guidance == "feedback"
+
     def select(self, clips: list[Clip]) -> list[Clip]:
         """The training motions among ``clips``."""
         return self.data.select(clips)
@@ -283,10 +298,11 @@ TEACHERS = {
         amp=AmpConfig(),
     ),
     "quickstart": TeacherPreset(
-        minutes=5.0,
+        minutes=8.0,
         data=_QUICKSTART_DATA,
         task=_QUICKSTART_TASK,
         ppo=_QUICKSTART_PPO,
+        imitation=ImitationConfig(),
     ),
     "smoke": TeacherPreset(
         minutes=math.inf,
@@ -332,12 +348,12 @@ STUDENTS = {
         task=replace(
             _STUDENT_TASK,
             num_envs=512,
-            view="reference",
-            guidance="feedback",
+            view="legs",
+            guidance="arms",
             push_speed=0.5,
             push_interval=5.0,
         ),
-        tuning_task=replace(_TUNING_TASK, view="reference", guidance="feedback"),
+        tuning_task=replace(_TUNING_TASK, view="legs", guidance="arms"),
         data=_QUICKSTART_DATA,
     ),
     "smoke": StudentPreset(

@@ -90,7 +90,7 @@ class StudentTrainer:
         self.threads, self.hardware = threads, hardware or Hardware()
         self.data_hash = clip_hash(chosen)
         self.reference: ReferenceMotions = load_reference(
-            chosen, self.hardware, preset.task.guidance == "feedback"
+            chosen, self.hardware, preset.needs_feedback
         )
         self.student = StudentModel(
             preset.network, preset.ppo.initial_std, preset.history

@@ -30,13 +30,15 @@ from openclone.training.reference import ReferenceMotions
 from openclone.training.reward_table import total_reward
 from openclone.training.rewards import TrackingState
 from openclone.training.starts import StartFrames
-from openclone.training.task_config import TaskConfig
+from openclone.training.task_config import Guidance, TaskConfig
 from openclone.training.task_config import TerminationLimits as TerminationLimits
 from openclone.training.terrain import Terrain
 
 _ENDS = (evenly_spaced(g1.FEET), evenly_spaced(g1.WRISTS))
 _SETTLING_STEPS = 150
 """Robots born away from the reference get so long to come closer."""
+_FAR = 6.0
+"""Bound on the actions of feedback."""
 _ACTION_SCALE = Constant(g1.ACTION_SCALE)
 _DEFAULT_POSE = Constant(g1.DEFAULT_POSE)
 
@@ -101,8 +103,8 @@ class TrackingTask:
             seed: of all randomness.
             terrain: uneven ground; None if all is flat.
         """
-        if config.guidance == "feedback" and reference.feedback is None:
-            raise ValueError("the task needs a reference with feedback gains")
+        if config.guidance == "feedback":
+            _gains(reference)
         self.device = physics.device
         self.reference = reference = reference.to(self.device)
         self.physics = physics
@@ -171,10 +173,17 @@ class TrackingTask:
         """Joint targets of the teacher's action: an offset to `base_targets`."""
         return self.base_targets() + self.action_scale * action
 
+    def feedback_action(self) -> torch.Tensor:
+        """(n, 29): the teacher's action that does what linear feedback would do."""
+        held = self._guided("feedback")
+        return ((held - self.base_targets()) / self.action_scale).clamp(-_FAR, _FAR)
+
     def base_targets(self) -> torch.Tensor:
         """(n, 29): joint targets of the configured guidance."""
+        return self._guided(self.config.guidance)
+
+    def _guided(self, guidance: Guidance) -> torch.Tensor:
         targets = self.next_reference().joint_angles
-        guidance = self.config.guidance
         if guidance == "pose":
             return _DEFAULT_POSE.like(targets).expand_as(targets)
         if guidance != "angles":
@@ -188,8 +197,7 @@ class TrackingTask:
     def feedback(self) -> torch.Tensor:
         """(n, 29), radians: what the linear feedback adds in the current state."""
         if self._correction is None:
-            gains = self.reference.feedback
-            assert gains is not None
+            gains = _gains(self.reference)
             away = deviation(self._state, self.reference.at(self.frame))
             self._correction = corrections(gains.index_select(0, self.frame), away)
         return self._correction
@@ -383,6 +391,13 @@ class TrackingTask:
         for counter in (self.age, self._born_age, self.action, self._air_time):
             counter[chosen] = 0
         self._read()
+
+
+def _gains(reference: ReferenceMotions) -> torch.Tensor:
+    """Of feedback, (F, 29, 71)."""
+    if reference.feedback is None:
+        raise ValueError("the task needs a reference with feedback gains")
+    return reference.feedback
 
 
 def _vertical(quat: torch.Tensor) -> torch.Tensor:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,7 @@ from openclone.training.checkpoint import (
 from openclone.training.data import load_reference, make_task
 from openclone.training.distributed import joined, team
 from openclone.training.hardware import Hardware, keep_memory
+from openclone.training.imitation import imitate
 from openclone.training.ppo import (
     PpoConfig,
     build_ppo,
@@ -90,19 +92,21 @@ class TeacherTrainer:
         self.preset = preset
         self.data_hash = clip_hash(chosen)
         self.task = make_task(
-            load_reference(chosen, hardware, preset.task.guidance == "feedback"),
+            load_reference(chosen, hardware, preset.needs_feedback),
             preset.task,
             seed,
             threads,
             hardware,
         )
         self.ppo = _new_ppo(self.task, preset.ppo)
+        self.trained = Trained()
+        self.phase = "ppo" if preset.imitation is None else "imitation"
         self.style: AmpStyle | None = None
         if preset.amp is not None:
             self.style = AmpStyle(self.task.reference, preset.amp, seed)
             self.task.style = self.style
 
-    def resume(self, path: Path) -> Trained:
+    def resume(self, path: Path) -> None:
         """Go on from the checkpoint ``path``."""
         content = load_checkpoint(path)
         _check_view(content, self.preset.task, path)
@@ -115,25 +119,27 @@ class TeacherTrainer:
             starts = self.task.starts
             if content["failures"].shape == starts.failures.shape:
                 starts.failures = content["failures"].to(starts.failures)
-            return trained_so_far(content)
+            self.trained = trained_so_far(content)
+            self.phase = content.get("phase", "ppo")
 
-    def begin(self, path: Path) -> Trained:
-        """Start with the networks of a checkpoint, but with the preset's noise."""
-        steps = self.resume(path).steps
+    def begin(self, path: Path) -> None:
+        """PPO with the networks of a checkpoint, but with the preset's noise."""
+        self.resume(path)
         renew_noise(self.ppo, self.preset.ppo)
-        return Trained(steps=steps)
+        self.phase, self.trained = "ppo", Trained(steps=self.trained.steps)
 
     def save(self, path: Path, progress: Progress) -> None:
         """Write everything needed to go on; one process of the team does."""
+        self.trained = trained = progress.trained
         if not team().leads:
             return
-        trained = progress.trained
         content = {
             "ppo": self.ppo.save(),
             "hidden": list(self.preset.ppo.hidden),
             "preview": list(self.preset.task.preview),
             "guidance": self.preset.task.guidance,
             "view": self.preset.task.view,
+            "phase": self.phase,
             "steps": trained.steps,
             "minutes": trained.minutes,
             "iterations": trained.iterations,
@@ -142,6 +148,19 @@ class TeacherTrainer:
             "amp": self.style.state_dict() if self.style is not None else {},
         }
         save_checkpoint(path, content)
+
+    def imitate(self, progress: Progress, path: Path) -> None:
+        """Copy the feedback, as the preset wants it."""
+        config = self.preset.imitation
+        assert config is not None
+        imitate(
+            self.task,
+            self.ppo.actor,
+            GROUP,
+            config,
+            progress,
+            lambda: self.save(path, progress),
+        )
 
     def learn(self, progress: Progress, path: Path) -> None:
         """PPO until the budget is spent, with AMP if the preset wants it."""
@@ -185,7 +204,7 @@ def train_teacher(
         clips: the data set; the preset chooses categories and mirrors.
         preset: every setting.
         out: folder for checkpoint and event files.
-        minutes: total wall time instead of the preset's, earlier runs included.
+        minutes: total wall time of PPO instead of the preset's, earlier runs included.
         resume: go on from the checkpoint in ``out``, time included.
         start: begin with the networks of this checkpoint, the preset's noise and a
             fresh budget.
@@ -198,20 +217,33 @@ def train_teacher(
     hardware = hardware or Hardware()
     with joined(hardware.torch_device()) as crew:
         trainer = TeacherTrainer(clips, preset, seed, threads, hardware)
-        trained = Trained()
         if resume:
-            trained = trainer.resume(path)
+            trainer.resume(path)
         elif start is not None:
-            trained = trainer.begin(start)
+            trainer.begin(start)
         if crew.leads:
             print(trainer.task.reference.summary())
-        progress = Progress(out, budget, trained)
-        try:
-            trainer.learn(progress, path)
-            trainer.save(path, progress)
-        finally:
-            progress.close()
+        if preset.imitation is not None and trainer.phase == "imitation":
+            lesson = Budget(preset.imitation.minutes, preset.imitation.iterations)
+            _run(trainer, trainer.imitate, lesson, path)
+            trainer.phase, trainer.trained = "ppo", Trained(trainer.trained.steps)
+        _run(trainer, trainer.learn, budget, path)
     return path
+
+
+def _run(
+    trainer: TeacherTrainer,
+    phase: Callable[[Progress, Path], None],
+    budget: Budget,
+    path: Path,
+) -> None:
+    """One phase, and the checkpoint at its end."""
+    progress = Progress(path.parent, budget, trainer.trained)
+    try:
+        phase(progress, path)
+        trainer.save(path, progress)
+    finally:
+        progress.close()
 
 
 def load_teacher(path: Path, task: TaskConfig | None = None) -> MLPModel:
