@@ -138,6 +138,8 @@ class TeacherPreset:
         iterations: PPO iterations, if they end it instead.
         data, task, ppo: see there.
         imitation: the copy of linear feedback that comes before PPO; None for none.
+        guess_errors: size of the errors, during PPO, in what students must guess; 1:
+            those of a student.
         amp: the style reward; None for none.
     """
 
@@ -147,6 +149,7 @@ class TeacherPreset:
     task: TaskConfig = _FAST_TASK
     ppo: PpoConfig = _FAST_PPO
     imitation: ImitationConfig | None = None
+    guess_errors: float = 0.0
     amp: AmpConfig | None = None
 
     @property
@@ -303,6 +306,7 @@ TEACHERS = {
         task=_QUICKSTART_TASK,
         ppo=_QUICKSTART_PPO,
         imitation=ImitationConfig(),
+        guess_errors=1.0,
     ),
     "smoke": TeacherPreset(
         minutes=math.inf,

@@ -25,6 +25,7 @@ from openclone.training.checkpoint import (
 )
 from openclone.training.data import load_reference, make_task
 from openclone.training.distributed import joined, team
+from openclone.training.guesses import GuessErrors
 from openclone.training.hardware import Hardware, keep_memory
 from openclone.training.imitation import imitate
 from openclone.training.ppo import (
@@ -49,13 +50,21 @@ CHECKPOINT = "teacher.pt"
 class TeacherEnvironment:
     """The task as the teacher plays it: privileged view, residual actions."""
 
-    def __init__(self, task: TrackingTask) -> None:
+    def __init__(
+        self, task: TrackingTask, guess_errors: float = 0.0, seed: int = 0
+    ) -> None:
+        """Teachers see what students must guess with so large errors."""
         self.task = task
         self.num_envs = task.num_envs
+        self._errors: GuessErrors | None = None
+        if guess_errors:
+            example = task.teacher_observation()
+            self._errors = GuessErrors(example, guess_errors, seed)
 
     def observe(self) -> TensorDict:
         """Group ``teacher``; and ``critic``, if the teacher does not see it all."""
-        groups = {GROUP: self.task.teacher_observation()}
+        seen = self.task.teacher_observation()
+        groups = {GROUP: self._errors(seen) if self._errors else seen}
         if self.task.config.view != "reference":
             groups[CRITIC] = self.task.reference_observation()
         return TensorDict(groups, batch_size=[self.num_envs])
@@ -85,7 +94,7 @@ class TeacherTrainer:
     ) -> None:
         """Build task and untrained networks."""
         # Processes that train together begin with the networks of process 0.
-        seed = team().own_seed(seed)
+        self._seed = seed = team().own_seed(seed)
         keep_memory()
         torch.manual_seed(seed)
         chosen = preset.select(clips)
@@ -168,7 +177,7 @@ class TeacherTrainer:
             team().share(self.style.net)
         watchers = (lambda _: self._learn_style(),) if self.style is not None else ()
         learn(
-            TeacherEnvironment(self.task),
+            TeacherEnvironment(self.task, self.preset.guess_errors, self._seed),
             self.ppo,
             self.preset.ppo,
             progress,
