@@ -9,6 +9,7 @@ import torch
 from tensordict import TensorDict
 
 from openclone.training.checkpoint import load_checkpoint, save_checkpoint
+from openclone.training.feedback import corrections, deviation
 from openclone.training.guard import TrainingStopped
 from openclone.training.imitation import Imitation, ImitationConfig, imitate
 from openclone.training.ppo import PpoConfig, mlp_model
@@ -46,9 +47,13 @@ def gap(task, actor) -> float:
 def test_the_label_gives_the_targets_of_feedback(make_task, guidance):
     task = make_task(8, guidance=guidance)
     targets = task.residual_to_target(task.feedback_action())
-    wanted = task.next_reference().joint_angles + task.feedback()
-    wanted = wanted + task.reference.feedforward[task.next_frame()]
-    torch.testing.assert_close(targets, wanted, atol=1e-5, rtol=1e-4)
+    reference = task.reference
+    wanted = task.next_reference().joint_angles
+    wanted = wanted + reference.feedforward[task.next_frame()]
+    away = deviation(task.robot_state(), reference.at(task.frame))
+    added = corrections(reference.feedback[task.frame], away)
+    assert float(added.abs().max()) > 0.01
+    torch.testing.assert_close(targets, wanted + added, atol=1e-5, rtol=1e-4)
 
 
 def test_labels_of_robots_far_away_are_bounded(make_task):

@@ -38,7 +38,7 @@ def test_storage_counts_every_tensor_of_a_roll_out():
     got = plan._ppo_bytes(trainer.ppo, config, robots=160)
     # Observation, action, and reward, value, return, advantage, log-probability in
     # 4 bytes each, and a byte for the end; as much again twice for the one minibatch.
-    seen = teacher_size(len(SMOKE.task.preview), feedback=False)
+    seen = teacher_size(len(SMOKE.task.preview))
     row = 4 * (seen + 29 + 5) + 1
     networks = 16 * sum(
         p.numel()

@@ -125,7 +125,7 @@ def test_the_teacher_previews_where_the_reference_will_be(make_task, reference):
     task = make_task(4, preview=(5, 400), **CALM)
     task.jump_to(torch.tensor([10, 20, 30, 40]))
     got = task.teacher_observation()
-    assert got.shape == (4, teacher_size(2, feedback=False))
+    assert got.shape == (4, teacher_size(2))
     for robot, frame in enumerate((10, 20, 30, 40)):
         state = task.robot_state()
         anchor = state.body_position[robot, g1.TORSO].numpy()

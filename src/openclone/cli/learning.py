@@ -308,7 +308,7 @@ def train_plan(
         raise InputError(f"unknown preset {preset!r}", remedy=f"use one of {names}")
     teacher, student = TEACHERS.get(preset), STUDENTS.get(preset)
     phases = []
-    if any(choice and choice.needs_feedback for choice in (teacher, student)):
+    if teacher is not None and teacher.imitation is not None:
         phases.append(plan.plan_gains(motion_minutes, threads))
     if teacher is not None:
         phases += plan.plan_teacher(teacher, seconds, motion_minutes, threads)

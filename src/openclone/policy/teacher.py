@@ -31,14 +31,9 @@ _PLACES = 3
 """The first of its vectors are places, the others are not."""
 
 
-def teacher_size(moments: int, feedback: bool) -> int:
-    """Values of an observation.
-
-    Args:
-        moments: of the preview.
-        feedback: whether it shows what linear feedback adds to the joint targets.
-    """
-    return TEACHER_SIZE + PREVIEW_SIZE * moments + feedback * g1.NUM_JOINTS
+def teacher_size(moments: int) -> int:
+    """Values of an observation whose preview has so many moments."""
+    return TEACHER_SIZE + PREVIEW_SIZE * moments
 
 
 def evenly_spaced(bodies: tuple[int, ...]) -> slice:

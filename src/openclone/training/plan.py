@@ -106,7 +106,8 @@ def plan_teacher(
     """Measure each phase for ``seconds``; data of ``motion_minutes``."""
     small = replace(preset, task=_measured(preset.task))
     trainer = TeacherTrainer([waving()], small, 0, threads)
-    held = _robot_bytes(preset.task) + _data_bytes(motion_minutes, preset)
+    held = _data_bytes(motion_minutes, preset.imitation is not None)
+    held += _robot_bytes(preset.task)
     plans = []
     if preset.imitation is not None:
         plans.append(_plan_imitation(trainer, preset, preset.imitation, seconds, held))
@@ -160,7 +161,7 @@ def plan_student(
     )
     with tempfile.TemporaryDirectory() as folder:
         trainer = StudentTrainer([waving()], small, Path(folder), 0, threads)
-        data = _data_bytes(motion_minutes, preset)
+        data = _data_bytes(motion_minutes)
         plans = [_plan_dagger(trainer, preset, seconds, data, Path(folder))]
         if preset.tuning_minutes > 0:
             plans.append(_plan_tuning(trainer, preset, seconds, data))
@@ -293,8 +294,8 @@ def _robot_bytes(task: TaskConfig) -> float:
     return task.num_envs * each
 
 
-def _data_bytes(motion_minutes: float, preset: TeacherPreset | StudentPreset) -> float:
-    frame = _FRAME_BYTES + preset.needs_feedback * _GAIN_BYTES
+def _data_bytes(motion_minutes: float, gains: bool = False) -> float:
+    frame = _FRAME_BYTES + gains * _GAIN_BYTES
     return _WORKING_BYTES + motion_minutes * 60 * 50 * frame
 
 

@@ -152,11 +152,6 @@ class TeacherPreset:
     guess_errors: float = 0.0
     amp: AmpConfig | None = None
 
-    @property
-    def needs_feedback(self) -> bool:
-        """Whether gains must be computed before."""
-        return self.imitation is not None or self.task.guidance == "feedback"
-
     def select(self, clips: list[Clip]) -> list[Clip]:
         """The training motions among ``clips``."""
         return self.data.select(clips)
@@ -252,11 +247,6 @@ class StudentPreset:
     distillation: DistillationConfig = field(default_factory=DistillationConfig)
     ppo: PpoConfig = _TUNING_PPO
     amp: AmpConfig | None = None
-
-    @property
-    def needs_feedback(self) -> bool:
-        """Whether gains must be computed before."""
-        return self.task.guidance == "feedback"
 
     def select(self, clips: list[Clip]) -> list[Clip]:
         """The training motions among ``clips``."""

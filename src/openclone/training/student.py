@@ -89,9 +89,7 @@ class StudentTrainer:
         self.seed = team().own_seed(seed)
         self.threads, self.hardware = threads, hardware or Hardware()
         self.data_hash = clip_hash(chosen)
-        self.reference: ReferenceMotions = load_reference(
-            chosen, self.hardware, preset.needs_feedback
-        )
+        self.reference: ReferenceMotions = load_reference(chosen, self.hardware)
         self.student = StudentModel(
             preset.network, preset.ppo.initial_std, preset.history
         ).to(self.reference.device)

@@ -103,8 +103,6 @@ class TrackingTask:
             seed: of all randomness.
             terrain: uneven ground; None if all is flat.
         """
-        if config.guidance == "feedback":
-            _gains(reference)
         self.device = physics.device
         self.reference = reference = reference.to(self.device)
         self.physics = physics
@@ -138,7 +136,6 @@ class TrackingTask:
         self._displaced = torch.zeros(n, dtype=torch.bool, device=self.device)
         self._born_age = torch.zeros_like(self.frame)
         self._following: torch.Tensor | None = None
-        self._correction: torch.Tensor | None = None
         self._looked_up: RobotState | None = None
         self._reset(torch.arange(n))
         # Spread the episodes' ends, so that resets do not come all at once.
@@ -154,7 +151,7 @@ class TrackingTask:
     def jump_to(self, frame: torch.Tensor) -> None:
         """Put the reference of every robot at ``frame (n,)``; the robots stay."""
         self.frame = frame.to(self.device)
-        self._following = self._looked_up = self._correction = None
+        self._following = self._looked_up = None
 
     def next_frame(self) -> torch.Tensor:
         """(n,) index of the reference frame for the next step, t + 1."""
@@ -174,8 +171,19 @@ class TrackingTask:
         return self.base_targets() + self.action_scale * action
 
     def feedback_action(self) -> torch.Tensor:
-        """(n, 29): the teacher's action that does what linear feedback would do."""
-        held = self._guided("feedback")
+        """(n, 29): the teacher's action that holds the robot near the reference.
+
+        Its joint targets are those of feed-forward and linear feedback.
+
+        Raises:
+            ValueError: the reference has no feedback gains.
+        """
+        gains = self.reference.feedback
+        if gains is None:
+            raise ValueError("the task needs a reference with feedback gains")
+        away = deviation(self._state, self.reference.at(self.frame))
+        held = self._guided("feedforward")
+        held = held + corrections(gains.index_select(0, self.frame), away)
         return ((held - self.base_targets()) / self.action_scale).clamp(-_FAR, _FAR)
 
     def base_targets(self) -> torch.Tensor:
@@ -192,15 +200,7 @@ class TrackingTask:
         if guidance == "arms":
             legs = _DEFAULT_POSE.like(targets)[LEGS].expand(self.num_envs, -1)
             targets = torch.cat((legs, targets[:, LEGS.stop :]), 1)
-        return targets + self.feedback() if guidance == "feedback" else targets
-
-    def feedback(self) -> torch.Tensor:
-        """(n, 29), radians: what the linear feedback adds in the current state."""
-        if self._correction is None:
-            gains = _gains(self.reference)
-            away = deviation(self._state, self.reference.at(self.frame))
-            self._correction = corrections(gains.index_select(0, self.frame), away)
-        return self._correction
+        return targets
 
     def teacher_observation(self) -> torch.Tensor:
         """(n, d): what the teacher sees, by the configured view."""
@@ -231,8 +231,6 @@ class TrackingTask:
             reference, body_position=reference.body_position + lead[:, None]
         )
         seen = teacher_observation(self._state, shifted, self.action)
-        if self.config.guidance == "feedback":
-            seen = torch.cat((seen, self.feedback() / self.action_scale), 1)
         if not self.config.preview:
             return seen
         moments = torch.minimum(following[:, None] + self._preview, last[:, None])
@@ -391,13 +389,6 @@ class TrackingTask:
         for counter in (self.age, self._born_age, self.action, self._air_time):
             counter[chosen] = 0
         self._read()
-
-
-def _gains(reference: ReferenceMotions) -> torch.Tensor:
-    """Of feedback, (F, 29, 71)."""
-    if reference.feedback is None:
-        raise ValueError("the task needs a reference with feedback gains")
-    return reference.feedback
 
 
 def _vertical(quat: torch.Tensor) -> torch.Tensor:

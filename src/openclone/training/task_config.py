@@ -9,11 +9,10 @@ from typing import Literal
 from openclone.training.randomization import TABLE_A2, RandomizationConfig
 from openclone.training.reward_table import FAST, RewardWeights
 
-Guidance = Literal["pose", "arms", "angles", "feedforward", "feedback"]
+Guidance = Literal["pose", "arms", "angles", "feedforward"]
 """Joint targets that need no learning: the default pose, as for the student; the same,
 but arms as in feedforward; the reference's angles; those that also give the reference's
-torques; those that, by linear feedback, also hold the robot near it. The teacher sees
-what feedback adds."""
+torques."""
 View = Literal["reference", "command", "legs"]
 """What the teacher sees of the motion: all of it; head and hands as the student does;
 or these and the legs. The critic sees all of it."""

@@ -101,7 +101,7 @@ class TeacherTrainer:
         self.preset = preset
         self.data_hash = clip_hash(chosen)
         self.task = make_task(
-            load_reference(chosen, hardware, preset.needs_feedback),
+            load_reference(chosen, hardware, preset.imitation is not None),
             preset.task,
             seed,
             threads,
@@ -279,9 +279,7 @@ def _load(
     content = load_checkpoint(path)
     with fitting(path):
         config = replace(PpoConfig(), hidden=tuple(content["hidden"]))
-        size = teacher_size(
-            len(content["preview"]), feedback=content["guidance"] == "feedback"
-        )
+        size = teacher_size(len(content["preview"]))
         if group == GROUP and _view(content) != "reference":
             size = COMMAND_SIZE + (_view(content) == "legs") * LEGS_SIZE
         example = TensorDict({group: torch.zeros(1, size)}, batch_size=[1])
