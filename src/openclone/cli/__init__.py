@@ -13,7 +13,7 @@ from collections.abc import Callable
 
 from openclone.cli.curation import motions_build, motions_inspect
 from openclone.cli.editing import motions_augment, motions_edit
-from openclone.cli.facts import policy_info, robot_joints, version
+from openclone.cli.facts import policy_info, policy_mean, robot_joints, version
 from openclone.cli.learning import (
     train_model,
     train_plan,
@@ -61,6 +61,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "odometry run": odometry_run,
     "odometry simulate": odometry_simulate,
     "policy info": policy_info,
+    "policy mean": policy_mean,
     "robot joints": robot_joints,
     "version": version,
 }

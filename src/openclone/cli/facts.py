@@ -1,4 +1,4 @@
-"""Commands that print facts: robot joints, policy info, version."""
+"""Commands about the robot and policy bundles, and the version."""
 
 from __future__ import annotations
 
@@ -34,6 +34,23 @@ def policy_info(bundle: Path | None = None, /) -> None:
         print(f"{name:16} {getattr(info, name)}")
     print(f"{'data_hash':16} {info.data_hash}")
     print(f"{'training':16} {info.training}")
+
+
+def policy_mean(
+    *, bundles: tuple[Path, ...], out: Path, shares: tuple[float, ...] = ()
+) -> None:
+    """Write the mean of the weights of several bundles, often the steadiest of them.
+
+    Args:
+        bundles: two or more, e.g. those that one run keeps, or of runs that started
+            from one another.
+        out: the new bundle.
+        shares: of each bundle in the mean; equal by default.
+    """
+    from openclone.policy.mean import mean_bundle
+
+    mean_bundle(list(bundles), list(shares) or [1.0] * len(bundles), out)
+    print(f"policy bundle: {out}")
 
 
 def version() -> None:

@@ -86,7 +86,7 @@ _FAST_TASK = TaskConfig(
     born_distance=0.6,
     recorded_weight=2.0,
     view="command",
-    guidance="pose",
+    guidance="arms",
 )
 # Nobody can copy feedback on feet that glide.
 _QUICKSTART_DATA = DataChoice(categories=_WALKING, commands=False, mirror=False)
@@ -111,21 +111,11 @@ _FAST_PPO = PpoConfig(
     final_kl=0.015,
     entropy=0.0,
     initial_std=0.25,
-    final_std=0.07,
+    final_std=0.065,
     hidden=(512, 256, 128),
 )
-_QUICKSTART_PPO = PpoConfig(
-    steps=16,
-    epochs=4,
-    minibatches=8,
-    learning_rate=1e-3,
-    slowest=2e-5,
-    fastest=1e-3,
-    kl=0.05,
-    final_kl=0.02,
-    entropy=0.0,
-    initial_std=0.2,
-    final_std=0.1,
+_QUICKSTART_PPO = replace(
+    _FAST_PPO, initial_std=0.2, final_std=0.1, hidden=(256, 128, 64)
 )
 
 
@@ -187,7 +177,7 @@ class DistillationConfig:
 _STUDENT_TASK = TaskConfig(
     limits=_BEFORE_THE_FALL,
     view="command",
-    guidance="pose",
+    guidance="arms",
     failure_share=0.3,
     run_up=125,
     push_speed=1.2,
@@ -198,7 +188,7 @@ _STUDENT_TASK = TaskConfig(
 )
 _TUNING_TASK = TaskConfig(
     view="command",
-    guidance="pose",
+    guidance="arms",
     limits=TerminationLimits(0.35, 1.2, 0.6, 1.2),
     displaced_share=0.1,
     born_distance=0.6,
@@ -266,13 +256,15 @@ _SMOKE_TASK = TaskConfig(num_envs=16, episode_steps=50)
 _SMOKE_PPO = PpoConfig(steps=4, epochs=1, minibatches=1, hidden=(32, 32))
 _SMOKE_AMP = AmpConfig(hidden=(32, 16), replay=1000, batch=64, updates=1)
 
+_TEACHER = TeacherPreset(guess_errors=1.0)
 TEACHERS = {
-    "fast": TeacherPreset(),
-    "fast-amp": TeacherPreset(
+    "fast": _TEACHER,
+    "fast-amp": replace(
+        _TEACHER,
         task=replace(_FAST_TASK, weights=replace(FAST, amp=0.5)),
         amp=AmpConfig(hidden=(256, 128), batch=2048, learning_rate=1e-4),
     ),
-    "other-data": TeacherPreset(data=DataChoice(recorded_only=True, mirror=False)),
+    "other-data": replace(_TEACHER, data=DataChoice(recorded_only=True, mirror=False)),
     "paper": TeacherPreset(
         minutes=math.inf,
         iterations=1_000_000,
@@ -343,11 +335,10 @@ STUDENTS = {
             _STUDENT_TASK,
             num_envs=512,
             view="legs",
-            guidance="arms",
             push_speed=0.5,
             push_interval=5.0,
         ),
-        tuning_task=replace(_TUNING_TASK, view="legs", guidance="arms"),
+        tuning_task=replace(_TUNING_TASK, view="legs"),
         data=_QUICKSTART_DATA,
     ),
     "smoke": StudentPreset(
