@@ -92,7 +92,7 @@ _FAST_TASK = TaskConfig(
 _QUICKSTART_DATA = DataChoice(categories=_WALKING, commands=False, mirror=False)
 _QUICKSTART_TASK = TaskConfig(
     num_envs=512,
-    view="command",
+    view="legs",
     guidance="arms",
     limits=_BEFORE_THE_FALL,
     failure_share=0.5,
@@ -334,9 +334,11 @@ STUDENTS = {
         task=replace(
             _STUDENT_TASK,
             num_envs=512,
+            view="legs",
             push_speed=0.5,
             push_interval=5.0,
         ),
+        tuning_task=replace(_TUNING_TASK, view="legs"),
         data=_QUICKSTART_DATA,
     ),
     "smoke": StudentPreset(
