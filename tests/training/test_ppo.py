@@ -46,7 +46,7 @@ def test_a_push_cuts_credit_but_no_episode(roll_out):
     torch.testing.assert_close(storage.returns, storage.rewards)
     plain = storage.rewards - CONFIG.discount * storage.values
     assert plain.min() > 0.0
-    assert plain.max() < 0.3
+    assert plain.max() < 0.5
 
 
 def test_steps_say_who_was_pushed(make_task):

@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import torch
 
+from openclone.policy.constants import Constant
 from openclone.policy.observation import TASK_SIZE
 from openclone.policy.teacher import COMMAND_SIZE, LEGS_SIZE
 from openclone.robot.model import CONTROL_PERIOD
@@ -19,19 +21,19 @@ _VELOCITIES = tuple(slice(TASK_SIZE + k, TASK_SIZE + k + 3) for k in (0, 9, 12))
 """Of root and feet, in `policy.teacher.command_observation`."""
 _VELOCITY_ERROR = 0.05
 """m/s. A regression from a student's history is off by 0.03 to 0.04 (median)."""
-_LEGS_ERROR = torch.cat(
-    [
-        torch.full((count,), size)
-        for count, size in (
-            (15, 0.07),  # angles, rad
-            (15, 0.05 * 0.5),  # their velocities
-            (6, 0.015),  # knees, m
-            (6, 0.021),  # feet
-            (6, 0.5 * 0.09),  # their velocities
-            (2, 0.03),  # heading of the pelvis
-            (1, 0.01),  # its height, m
-        )
-    ]
+_LEGS_ERROR = Constant(
+    np.repeat(
+        (
+            0.07,  # angles, rad
+            0.05 * 0.5,  # their velocities
+            0.015,  # knees, m
+            0.021,  # feet
+            0.5 * 0.09,  # their velocities
+            0.03,  # heading of the pelvis
+            0.01,  # its height, m
+        ),
+        (15, 15, 6, 6, 6, 2, 1),
+    )
 )
 """The same regression on motions that it had not seen: feet 37 mm off on average."""
 _CORRELATION = 0.3
@@ -56,7 +58,7 @@ class GuessErrors:
         if size not in (COMMAND_SIZE, COMMAND_SIZE + LEGS_SIZE):
             raise ValueError(f"nothing to guess in an observation of {size} values")
         self._random = torch.Generator(example.device).manual_seed(seed)
-        self._legs = scale * _LEGS_ERROR[: size - COMMAND_SIZE].to(example)
+        self._legs = scale * _LEGS_ERROR.like(example)[: size - COMMAND_SIZE]
         self._velocity = scale * _VELOCITY_ERROR
         self._keep = math.exp(-CONTROL_PERIOD / _CORRELATION)
         self._state = self._draw(example.new_empty(count, 3 + len(self._legs)))

@@ -90,8 +90,8 @@ class Imitation:
         self._seen = seen.new_zeros(*shape, seen.shape[1])
         self._labels = seen.new_zeros(*shape, g1.NUM_JOINTS)
         self._weight = task.action_scale / _UNIT
-        self._noise = config.noise * (torch.arange(task.num_envs) % 2)[:, None]
-        self._noise = self._noise.to(seen)
+        odd = torch.arange(task.num_envs, device=task.device) % 2
+        self._noise = config.noise * odd[:, None].to(seen)
         self._tally = Tally(task)
         self._guard = NanGuard(progress.folder, task, {"actor": actor}, self._newest)
 
