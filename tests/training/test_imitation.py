@@ -67,7 +67,8 @@ def test_the_learner_comes_near_feedback(make_task, tmp_path):
     actor, lines = learner(task), []
     before = gap(task, actor)
     progress = Progress(tmp_path, Budget(math.inf, 30))
-    imitate(task, actor, GROUP, LESSON, progress, lambda: lines.append(1), 0.0)
+    imitation = Imitation(task, actor, GROUP, LESSON, progress)
+    imitate(imitation, lambda: lines.append(1), 0.0)
     assert gap(task, actor) < 0.4 * before
     assert progress.steps == 30 * 8 * 16
     assert len(lines) == 30

@@ -307,9 +307,7 @@ def train_plan(
         names = ", ".join(dict.fromkeys((*TEACHERS, *STUDENTS)))
         raise InputError(f"unknown preset {preset!r}", remedy=f"use one of {names}")
     teacher, student = TEACHERS.get(preset), STUDENTS.get(preset)
-    phases = []
-    if teacher is not None and teacher.imitation is not None:
-        phases.append(plan.plan_gains(motion_minutes, threads))
+    phases: list[PhasePlan] = []
     if teacher is not None:
         phases += plan.plan_teacher(teacher, seconds, motion_minutes, threads)
     if student is not None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import math
 from pathlib import Path
 
 import numpy as np
@@ -17,21 +16,12 @@ from openclone.policy.student import StudentModel
 from openclone.training.demonstrations import Demonstrations
 from openclone.training.distributed import team
 from openclone.training.guard import NanGuard
+from openclone.training.imitation import action_weight, imitation_loss, slow_down
 from openclone.training.presets import DistillationConfig
 from openclone.training.progress import Progress
 from openclone.training.student_view import StudentView
 from openclone.training.tally import Tally
 from openclone.training.teacher import GROUP as TEACHER
-
-_UNIT = 0.45
-"""Radians; typical action scale, makes the loss comparable to actions squared."""
-_KNEE = 0.1
-"""Actions; smaller errors count by their squares, larger ones by their size.
-
-A tenth of the samples made more than half of the squared errors.
-"""
-_RATE_STEPS = 20
-"""The learning rate falls in this many steps, so that wall time decides little."""
 
 
 def router_usage(routing: list[torch.Tensor]) -> dict[str, float]:
@@ -70,7 +60,7 @@ class Dagger:
         self._rng = rng
         networks, dump = {"student": student.mlp}, self.demonstrations.newest
         self._guard = NanGuard(folder, view.task, networks, dump)
-        self._weight = view.task.action_scale / _UNIT
+        self._weight = action_weight(view.task)
         self._tally = Tally(view.task)
 
     def label(self) -> torch.Tensor:
@@ -106,16 +96,12 @@ class Dagger:
     def update(self, progress: Progress) -> None:
         """Gradient steps on the buffer: mean L2 norm (as OmniH2O) plus Eq. 1."""
         config = self.config
-        share = math.floor(_RATE_STEPS * team().same(progress.share)) / _RATE_STEPS
-        rate = config.learning_rate * (1.0 - 0.8 * share)
-        for group in self.optimizer.param_groups:
-            group["lr"] = rate
+        slow_down(self.optimizer, config.learning_rate, progress.share)
         losses: dict[str, float] = {}
         for _ in range(config.updates):
             inputs, labels = self.demonstrations.draw(config.batch)
             own, routing = self.student.with_routing(inputs)
-            error = self._weight * (own - labels)
-            imitation = (error.square().sum(-1) + _KNEE**2).sqrt().mean()
+            imitation = imitation_loss(self._weight * (own - labels))
             balance = balance_loss(routing)
             loss = imitation + config.balance * balance
             self.optimizer.zero_grad()

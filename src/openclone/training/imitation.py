@@ -27,10 +27,36 @@ from openclone.training.task import TrackingTask
 _UNIT = 0.45
 """Radians; typical action scale, makes the loss comparable to actions squared."""
 _KNEE = 0.1
-"""Actions; smaller errors count by their squares, larger ones by their size."""
+"""Actions; smaller errors count by their squares, larger ones by their size.
+
+A tenth of the samples made more than half of the squared errors.
+"""
 _RATE_STEPS = 20
 """The learning rate falls in this many steps, so that wall time decides little."""
 _SHOWN = ("falls/1000", "error_mm", "reward", "gap", "loss/imitation")
+
+
+def action_weight(task: TrackingTask) -> torch.Tensor:
+    """What errors of actions count, joint by joint, ``(29,)``."""
+    return task.action_scale / _UNIT
+
+
+def imitation_loss(error: torch.Tensor) -> torch.Tensor:
+    """Mean L2 norm (as OmniH2O) of weighted errors of actions ``(n, 29)``."""
+    return (error.square().sum(-1) + _KNEE**2).sqrt().mean()
+
+
+def slow_down(optimizer: torch.optim.Optimizer, rate: float, over: float) -> None:
+    """Let the learning rate fall from ``rate`` to a fifth of it.
+
+    Args:
+        optimizer: to be changed.
+        rate: at the start of the run.
+        over: share of the run that is over, 0 to 1; all processes take the leader's.
+    """
+    over = math.floor(_RATE_STEPS * team().same(over)) / _RATE_STEPS
+    for group in optimizer.param_groups:
+        group["lr"] = rate * (1.0 - 0.8 * over)
 
 
 @dataclass(frozen=True)
@@ -89,7 +115,7 @@ class Imitation:
         seen = task.teacher_observation()
         self._seen = seen.new_zeros(*shape, seen.shape[1])
         self._labels = seen.new_zeros(*shape, g1.NUM_JOINTS)
-        self._weight = task.action_scale / _UNIT
+        self._weight = action_weight(task)
         odd = torch.arange(task.num_envs, device=task.device) % 2
         self._noise = config.noise * odd[:, None].to(seen)
         self._tally = Tally(task)
@@ -126,9 +152,7 @@ class Imitation:
     def update(self) -> None:
         """Gradient steps on the buffer."""
         config, network = self.config, self.actor.mlp
-        over = math.floor(_RATE_STEPS * team().same(self.progress.share)) / _RATE_STEPS
-        for group in self.optimizer.param_groups:
-            group["lr"] = config.learning_rate * (1.0 - 0.8 * over)
+        slow_down(self.optimizer, config.learning_rate, self.progress.share)
         filled = min(self.rounds, config.kept_rounds)
         seen = self._seen[:filled].flatten(0, 2)
         labels = self._labels[:filled].flatten(0, 2)
@@ -136,8 +160,7 @@ class Imitation:
         for _ in range(config.updates):
             drawn = torch.randint(len(seen), (config.batch,), device=seen.device)
             own = network(self.actor.obs_normalizer(seen[drawn]))
-            error = self._weight * (own - labels[drawn])
-            loss = (error.square().sum(-1) + _KNEE**2).sqrt().mean()
+            loss = imitation_loss(self._weight * (own - labels[drawn]))
             self.optimizer.zero_grad()
             loss.backward()
             team().average_gradients(network)
@@ -150,30 +173,20 @@ class Imitation:
 
 
 def imitate(
-    task: TrackingTask,
-    actor: MLPModel,
-    group: str,
-    config: ImitationConfig,
-    progress: Progress,
-    every_line: Callable[[], None],
-    line_seconds: float = 30.0,
+    imitation: Imitation, every_line: Callable[[], None], line_seconds: float = 30.0
 ) -> None:
     """Copy until the budget is spent, in all processes of the team.
 
     Args:
-        task: with feedback gains.
-        actor: the learner.
-        group: the observation that it reads.
-        config: settings.
-        progress: receives values; says when to stop.
+        imitation: new; its progress says when to stop.
         every_line: called after each progress line, e.g. to save a checkpoint.
         line_seconds: seconds between lines.
 
     Raises:
         TrainingStopped: something is not finite; a dump lies beside the checkpoint.
     """
-    team().share(actor)
-    imitation = Imitation(task, actor, group, config, progress)
+    progress = imitation.progress
+    team().share(imitation.actor)
     while not team().agree(progress.finished):
         imitation.collect()
         imitation.update()

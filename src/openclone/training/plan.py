@@ -108,8 +108,9 @@ def plan_teacher(
     trainer = TeacherTrainer([waving()], small, 0, threads)
     held = _data_bytes(motion_minutes, preset.imitation is not None)
     held += _robot_bytes(preset.task)
-    plans = []
+    plans: list[PhasePlan] = []
     if preset.imitation is not None:
+        plans.append(plan_gains(motion_minutes, threads))
         plans.append(_plan_imitation(trainer, preset, preset.imitation, seconds, held))
     env, config = TeacherEnvironment(trainer.task), preset.ppo
     rate = _ppo_rate(env, trainer.ppo, config, seconds)

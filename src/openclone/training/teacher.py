@@ -27,7 +27,7 @@ from openclone.training.data import load_reference, make_task
 from openclone.training.distributed import joined, team
 from openclone.training.guesses import GuessErrors
 from openclone.training.hardware import Hardware, keep_memory
-from openclone.training.imitation import imitate
+from openclone.training.imitation import Imitation, imitate
 from openclone.training.ppo import (
     PpoConfig,
     build_ppo,
@@ -162,14 +162,8 @@ class TeacherTrainer:
         """Copy the feedback, as the preset wants it."""
         config = self.preset.imitation
         assert config is not None
-        imitate(
-            self.task,
-            self.ppo.actor,
-            GROUP,
-            config,
-            progress,
-            lambda: self.save(path, progress),
-        )
+        imitation = Imitation(self.task, self.ppo.actor, GROUP, config, progress)
+        imitate(imitation, lambda: self.save(path, progress))
 
     def learn(self, progress: Progress, path: Path) -> None:
         """PPO until the budget is spent, with AMP if the preset wants it."""
