@@ -8,6 +8,7 @@ import torch
 
 from openclone.errors import InputError
 from openclone.motion.clip import ClipInfo, clip_from_qpos
+from openclone.robot import g1
 from openclone.robot.model import standing_qpos
 from openclone.training.data import is_recorded, top_speed
 from openclone.training.presets import DataChoice
@@ -34,7 +35,7 @@ def test_the_fastest_half_second_counts():
 
 def test_fast_clips_are_left_out():
     clips = [travelling("walk", [0.9] * 3), travelling("run", [0.9, 2.5, 0.9])]
-    choice = DataChoice(mirror=False)
+    choice = DataChoice(mirror=False, commands=False)
     assert len(choice.select(clips)) == 2
     kept = replace(choice, fastest=1.4).select(clips)
     assert [clip.info.name for clip in kept] == ["walk"]
@@ -77,3 +78,18 @@ def test_failures_are_sought_whatever_the_weight(make_clip, model):
     frames = starts.draw(2000)
     # One of 19 half seconds, which the weight alone would hardly ever draw.
     assert float(((frames // 25 - 18).abs() <= 1).float().mean()) > 0.3
+
+
+def test_nobody_is_put_into_the_ground(make_clip, model):
+    clip = make_clip("sinking", 5.98)
+    depth = np.clip(np.arange(clip.num_frames) / clip.num_frames - 0.5, 0.0, None)
+    position = clip.root_position.copy()
+    position[:, 2] -= 0.3 * depth
+    reference = build_reference([replace(clip, root_position=position)], model)
+    starts = StartFrames(reference, 0.0, torch.Generator().manual_seed(0))
+    drawn = starts.draw(2000)
+    ankles = reference.frames.body_position[:, list(g1.FEET), 2].amin(1)
+    assert float(ankles.min()) < -0.05
+    assert float(ankles[drawn].min()) >= 0.0
+    # What would begin there, half of all, begins at the beginning.
+    assert float((drawn == 0).float().mean()) > 0.2

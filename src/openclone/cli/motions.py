@@ -23,6 +23,7 @@ def motions_synthesize(
     seed: int = 0,
     minutes: float = 30.0,
     gliding: int = 0,
+    deep_squats: int = 0,
     workers: int | None = None,
 ) -> None:
     """Make the default synthetic motions and write them as clip files.
@@ -33,20 +34,24 @@ def motions_synthesize(
         minutes: least length of all motions together.
         gliding: also so many gliding laps of 45 s: the standing body carried along as
             an operator's head moves, feet sliding on purpose. For training only.
+        deep_squats: also so many squats to heads of 0.6 to 0.75 m, every other one, on
+            purpose, up to 0.17 m into the ground: for training.
         workers: processes; one per core by default. The result is the same.
     """
     from openclone.motion.batch import available_workers
     from openclone.motion.clip import save_clip
+    from openclone.motion.sources.deep_squats import deep_squat_set
     from openclone.motion.sources.gliding import gliding_set
     from openclone.motion.sources.synthetic import default_set
 
     positive("--minutes", minutes)
-    if gliding < 0:
-        raise InputError(f"--gliding is {gliding}", remedy="give 0 or more")
+    for option, count in (("--gliding", gliding), ("--deep-squats", deep_squats)):
+        if count < 0:
+            raise InputError(f"{option} is {count}", remedy="give 0 or more")
     positive("--workers", workers)
     workers = workers or available_workers()
     clips = default_set(seed, minutes, workers=1 if minutes < 3 else workers)
-    clips += gliding_set(seed, gliding)
+    clips += gliding_set(seed, gliding) + deep_squat_set(seed, deep_squats)
     for clip in clips:
         save_clip(clip, out / file_name(clip))
     total = sum(clip.seconds for clip in clips) / 60

@@ -6,21 +6,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from openclone.errors import InputError
 from openclone.evaluation.episode import Reference, make_reference
-from openclone.motion.clip import Clip, ClipInfo, clip_from_qpos
-from openclone.motion.heights import HeightConfig, with_head_height
-from openclone.motion.planted import EditRefused
-from openclone.robot.model import CONTROL_PERIOD, build_model, standing_qpos
+from openclone.motion.clip import ClipInfo, clip_from_qpos
+from openclone.motion.sources.deep_squats import (
+    DEEPEST,
+    SHOULDER_PITCH,
+    in_seconds,
+    way_down,
+)
+from openclone.robot.model import CONTROL_PERIOD, build_model
 
-DEEPEST = 0.6
-"""Metres; the lowest head of a whole-body reference with flat soles. Already at 0.55 m
-the edit of `motion.heights` puts links into each other and is refused."""
 STAND_S, HOLD_S, AFTER_S = 1.0, 2.0, 2.0
 """Seconds: before going down, at the bottom, and after coming up."""
-_EDIT_S = 1.0
-_ATTEMPTS = 8
-_SHOULDER_PITCH = (22, 29)
 _LOWEST_HAND = 0.1
 """Metres; commanded hands stay above the ground."""
 
@@ -55,9 +52,9 @@ def squat_reference(target: float, rng: np.random.Generator) -> SquatReference:
     Raises:
         InputError: the robot's legs cannot do it.
     """
-    down = _way_down(max(target, DEEPEST), rng)
+    down = way_down(max(target, DEEPEST), _arms, rng)
     down_s, up_s = rng.uniform(1.5, 3.0, 2)
-    going, rising = _in_seconds(down, down_s), _in_seconds(down, up_s)[::-1]
+    going, rising = in_seconds(down, down_s), in_seconds(down, up_s)[::-1]
     stand, hold, after = (
         round(seconds / CONTROL_PERIOD) for seconds in (STAND_S, HOLD_S, AFTER_S)
     )
@@ -79,30 +76,9 @@ def squat_reference(target: float, rng: np.random.Generator) -> SquatReference:
     return SquatReference(target, reference, low, slice(len(qpos) - second, len(qpos)))
 
 
-def _way_down(target: float, rng: np.random.Generator) -> Clip:
-    """From standing to ``target`` in one second, arms drawn."""
-    frames = round(_EDIT_S / CONTROL_PERIOD) + 1
-    info = ClipInfo("squat", "stand", "openclone", "Apache-2.0", 1.0 / CONTROL_PERIOD)
-    reason = ""
-    for _ in range(_ATTEMPTS):
-        qpos = np.tile(standing_qpos(), (frames, 1))
-        qpos[:, _SHOULDER_PITCH] -= rng.uniform(0.0, 0.8)
-        try:
-            config = HeightConfig(approach_s=_EDIT_S)
-            return with_head_height(clip_from_qpos(info, qpos), target, config)
-        except EditRefused as refusal:
-            reason = str(refusal)
-    raise InputError(
-        f"the robot cannot squat to a head height of {target:.2f} m ({reason})",
-        remedy=f"choose heights between {DEEPEST} and 1.2 m",
-    )
-
-
-def _in_seconds(clip: Clip, seconds: float) -> np.ndarray:
-    """``clip`` stretched to last ``seconds``: qpos at the control rate."""
-    fps = (clip.num_frames - 1) / seconds
-    stretched = replace(clip, info=replace(clip.info, fps=fps))
-    return stretched.resampled(1.0 / CONTROL_PERIOD).qpos
+def _arms(qpos: np.ndarray, rng: np.random.Generator) -> None:
+    """Stretch both arms forward by up to 0.8 rad."""
+    qpos[:, SHOULDER_PITCH] -= rng.uniform(0.0, 0.8)
 
 
 def _further_down(reference: Reference, depth: float) -> Reference:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from openclone.policy.command import Command, KeyPoints
+from openclone.policy.governor import Governor, GovernorConfig
 from openclone.robot.model import CONTROL_PERIOD
 from openclone.spatial import rotations
 from openclone.spatial.filters import (
@@ -16,7 +17,6 @@ from openclone.spatial.filters import (
     OneEuroRotationFilter,
 )
 from openclone.teleop.calibration import Calibration
-from openclone.teleop.governor import Governor, GovernorConfig
 from openclone.teleop.messages import OperatorFrame
 
 

@@ -15,6 +15,7 @@ from openclone.policy.mlp import MlpConfig
 from openclone.policy.moe import MoeConfig
 from openclone.training.amp import AmpConfig
 from openclone.training.data import is_recorded, select_clips
+from openclone.training.held_back import held_back_clips
 from openclone.training.imitation import ImitationConfig
 from openclone.training.ppo import PpoConfig
 from openclone.training.reward_table import FAST, PAPER
@@ -34,7 +35,8 @@ class DataChoice:
     Attributes:
         categories: motion categories to train on; None for all.
         recorded_only: leave out synthetic and edited clips.
-        commands: also train on gliding laps, which no feet can follow.
+        commands: also train on what no feet can follow: gliding laps, and recordings
+            as a governor passes them on (`held_back`).
         mirror: also train on every clip with left and right swapped.
         still_seconds: hold clips that end at rest for this long. The same for teacher
             and student, which then share what is computed about the motions.
@@ -66,6 +68,8 @@ class DataChoice:
                 "this preset trains on recordings alone, and there are none",
                 remedy="give a folder of recordings with --motions",
             )
+        if self.commands and not self.recorded_only:
+            kept += held_back_clips(kept)
         return select_clips(
             kept, self.categories, self.mirror, self.still_seconds, self.fastest
         )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import torch
 
+from openclone.robot import g1
 from openclone.training.reference import ReferenceMotions
 
 _BIN = 25
@@ -12,6 +13,8 @@ _HARDEST = 0.1
 """Failures per visit that count; what always fails would take all the time, in vain."""
 _FORGETTING = 0.9995
 """Share of the old counts that each control step keeps."""
+_BURIED = 0.0
+"""Metres; an ankle below has its sole under the ground, where no robot can be put."""
 
 
 class StartFrames:
@@ -50,6 +53,9 @@ class StartFrames:
         self._run_up = run_up
         clip, self._last = reference.clip.cpu(), reference.last.cpu()
         self._first = torch.searchsorted(clip, clip)
+        ankles = reference.frames.body_position[:, list(g1.FEET), 2].amin(1).cpu()
+        everywhere = torch.arange(len(clip))
+        self._startable = torch.where(ankles < _BURIED, self._first, everywhere)
         recorded = torch.tensor(reference.recorded, device=clip.device)[clip]
         first = torch.arange(bins, device=clip.device) * _BIN
         self._place = first.clamp(max=len(clip) - 1)
@@ -66,7 +72,11 @@ class StartFrames:
         self.failures.index_add_(0, bins, terminated.to(self.failures.dtype))
 
     def draw(self, count: int) -> torch.Tensor:
-        """``(count,)`` frames, near the chosen place or before it; on the CPU."""
+        """``(count,)`` frames, near the chosen place or before it; on the CPU.
+
+        Where the reference sinks into the ground, as commands may, it is the first
+        frame of the motion instead.
+        """
         rate = (self.failures / (self._visits + 1.0)).clamp(max=_HARDEST) + 0.01
         share = self._share
         chance = share * (rate / rate.sum()).cpu() + (1 - share) * self._even
@@ -75,6 +85,5 @@ class StartFrames:
         offset = torch.randint(-self._run_up, _BIN, (count,), generator=rng)
         wanted = self._place[bins]
         latest = torch.maximum(self._first[wanted], self._last[wanted] - _BIN)
-        return torch.minimum(
-            torch.maximum(wanted + offset, self._first[wanted]), latest
-        )
+        near = torch.maximum(wanted + offset, self._first[wanted])
+        return self._startable[torch.minimum(near, latest)]

@@ -24,6 +24,8 @@ from openclone.spatial import rotations
 
 SOURCE = "openclone gliding laps"
 """In the clips' info; marks them as commands."""
+COMMAND = "openclone command: "
+"""How the source of all other commands begins."""
 _SECONDS = 45.0
 _LICENCE = "Apache-2.0, made by OpenClone"
 _STRAIGHT_EVERY, _BACKWARD_EVERY = 5, 7
@@ -109,10 +111,16 @@ def gliding_set(seed: int, count: int) -> list[Clip]:
 
 
 def is_command(info: ClipInfo) -> bool:
-    """Whether a clip is a gliding lap: its legs are no example for anyone."""
-    return info.source == SOURCE
+    """Whether a clip is a command alone: its legs are no example for anyone."""
+    return info.source == SOURCE or info.source.startswith(COMMAND)
 
 
 def gate_for(info: ClipInfo, gate: Gate) -> Gate:
-    """``gate`` as it is for the clip ``info``: commands may slide their feet."""
-    return replace(gate, slide_cm_s=math.inf) if is_command(info) else gate
+    """``gate`` as it is for ``info``: commands may slide their feet.
+
+    Those other than gliding laps may also sink them into the ground.
+    """
+    if not is_command(info):
+        return gate
+    ground = gate.ground_share if info.source == SOURCE else math.inf
+    return replace(gate, slide_cm_s=math.inf, ground_share=ground)

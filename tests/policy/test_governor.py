@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from openclone.policy.command import KeyPoints
+from openclone.policy.governor import Governor, GovernorConfig
 from openclone.spatial import rotations
-from openclone.teleop.governor import Governor, GovernorConfig
 
 HEAD_AND_HANDS = np.array([[0.0, 0.0, 1.2], [0.3, 0.2, 0.9], [0.3, -0.2, 0.9]])
 PERIOD = 0.01
