@@ -80,7 +80,7 @@ def train_teacher(
     """Train the privileged teacher with PPO.
 
     Args:
-        preset: fast, fast-amp, quickstart, other-data, paper or smoke.
+        preset: fast, fast-amp, quickstart, feedback, other-data, paper or smoke.
         motions: folders of recordings with a manifest.tsv (split train), or of clip
             files; by default synthetic motions.
         out: folder for the checkpoint and the event files.

@@ -23,12 +23,9 @@ from openclone.spatial import rotations
 from openclone.training.data import is_recorded, top_speed
 
 HELD_BACK = "~held-back"
-_GOVERNORS = (
-    GovernorConfig(),
-    GovernorConfig(),
-    GovernorConfig(travel_speed=0.9, travel_acceleration=1.2),
-)
-"""In turn: an operator may set another one than the policy's."""
+_SLOW = GovernorConfig(travel_speed=0.6, travel_acceleration=0.7)
+_GOVERNORS = (_SLOW, _SLOW, GovernorConfig(travel_speed=0.9, travel_acceleration=1.2))
+"""In turn: slower than the policy's own, which an operator may set."""
 _BEFORE_S, _AFTER_S, _LONGEST_S = 0.5, 1.0, 4.0
 
 
@@ -37,7 +34,7 @@ def held_back_clips(clips: Iterable[Clip]) -> list[Clip]:
     fast = [
         clip
         for clip in clips
-        if is_recorded(clip) and top_speed(clip) > GovernorConfig.travel_speed
+        if is_recorded(clip) and top_speed(clip) > _SLOW.travel_speed
     ]
     kinematics = Kinematics()
     return [
