@@ -16,9 +16,9 @@ class GovernorConfig:
     """What the robot can follow over the ground; the shipped policy's by default.
 
     An operator who is faster is caught up with at these rates; up and down there is no
-    limit. Measured live on 30 recordings of `train` that stand, walk or turn: 4 falls (a
-    walk that becomes a run, a crouch, two jogs in a circle) and the body 0.18 m off; with
-    0.6 m/s and 0.7 m/s², which an earlier policy needed, 6 falls and 0.36 m.
+    limit. Measured live on 30 recordings of `train` that stand, walk or turn: 4 falls
+    (a walk that becomes a run, a crouch, two jogs in a circle), the body 0.18 m off;
+    with 0.6 m/s and 0.7 m/s², which an earlier policy needed, 6 falls and 0.36 m.
 
     Attributes:
         travel_speed: m/s over the ground, of the head.
