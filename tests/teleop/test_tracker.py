@@ -196,9 +196,9 @@ def test_a_runner_is_followed_at_the_robots_speed_and_caught_up_with(
     wanted = calibration.apply(last.positions, last.quats).position
     held = tracker.command(last.receive_stamp_ns, stale=True).target.position
     seconds = 179 * PERIOD_NS * 1e-9
-    # From 0.3 m/s at 0.7 m/s² to 0.6 m/s.
-    rising = (0.6 - 0.3) / 0.7
-    way = 0.5 * (0.3 + 0.6) * rising + 0.6 * (seconds - rising)
+    # From 0.3 m/s at 1.5 m/s² to 0.9 m/s.
+    rising = (0.9 - 0.3) / 1.5
+    way = 0.5 * (0.3 + 0.9) * rising + 0.9 * (seconds - rising)
     assert held[0, 0] == pytest.approx(way, abs=0.1)
     # Hands stay where they are relative to the head.
     np.testing.assert_allclose(held - held[0], wanted - wanted[0], atol=0.02)

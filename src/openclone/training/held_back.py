@@ -17,12 +17,10 @@ from openclone.motion.clip import Clip, clip_from_qpos
 from openclone.motion.sources.gliding import COMMAND
 from openclone.policy.command import KeyPoints
 from openclone.policy.governor import Governor, GovernorConfig
-from openclone.robot.kinematics import Kinematics
 from openclone.robot.model import CONTROL_PERIOD
-from openclone.spatial import rotations
 from openclone.training.data import is_recorded, top_speed
 
-HELD_BACK = "~held-back"
+_HELD_BACK = "~held-back"
 _SLOW = GovernorConfig(travel_speed=0.6, travel_acceleration=0.7)
 _GOVERNORS = (_SLOW, _SLOW, GovernorConfig(travel_speed=0.9, travel_acceleration=1.2))
 """In turn: slower than the policy's own, which an operator may set."""
@@ -36,18 +34,17 @@ def held_back_clips(clips: Iterable[Clip]) -> list[Clip]:
         for clip in clips
         if is_recorded(clip) and top_speed(clip) > _SLOW.travel_speed
     ]
-    kinematics = Kinematics()
     return [
-        held_back(clip, _GOVERNORS[index % len(_GOVERNORS)], kinematics)
+        held_back(clip, _GOVERNORS[index % len(_GOVERNORS)])
         for index, clip in enumerate(fast)
     ]
 
 
-def held_back(clip: Clip, config: GovernorConfig, kinematics: Kinematics) -> Clip:
+def held_back(clip: Clip, config: GovernorConfig) -> Clip:
     """``clip`` at 50 Hz, carried along behind itself by a governor.
 
-    It stands for half a second before, and afterwards long enough to arrive, but not
-    longer than 4 s.
+    The pelvis takes the place of the head, which needs no kinematics. The body waits
+    for half a second before, and afterwards until it has arrived, at most 4 s.
     """
     qpos = clip.resampled(1.0 / CONTROL_PERIOD).qpos
     way = float(np.linalg.norm(qpos[-1, :2] - qpos[0, :2]))
@@ -63,22 +60,13 @@ def held_back(clip: Clip, config: GovernorConfig, kinematics: Kinematics) -> Cli
     )
     governor = Governor(config)
     for row in qpos:
-        wanted = KeyPoints(*kinematics.key_points(row))
+        wanted = KeyPoints(row[None, :3], row[None, 3:7])
         passed = governor.follow(wanted, CONTROL_PERIOD)
-        _carry(row, wanted, passed)
+        row[:3], row[3:7] = passed.position[0], passed.quat[0]
     info = replace(
         clip.info,
-        name=f"{clip.info.name}{HELD_BACK}",
+        name=f"{clip.info.name}{_HELD_BACK}",
         source=f"{COMMAND}held back",
         fps=1.0 / CONTROL_PERIOD,
     )
     return clip_from_qpos(info, qpos)
-
-
-def _carry(row: np.ndarray, wanted: KeyPoints, passed: KeyPoints) -> None:
-    """Move the pelvis of ``row (36,)`` as head and hands were moved, in place."""
-    now, then = (rotations.yaw(rotations.heading(p.quat[0])) for p in (wanted, passed))
-    turn = rotations.from_yaw(np.array(then - now))
-    away = row[:3] - wanted.position[0]
-    row[:3] = passed.position[0] + rotations.rotate(turn, away)
-    row[3:7] = rotations.multiply(turn, row[3:7])

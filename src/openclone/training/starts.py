@@ -54,7 +54,7 @@ class StartFrames:
         clip, self._last = reference.clip.cpu(), reference.last.cpu()
         self._first = torch.searchsorted(clip, clip)
         ankles = reference.frames.body_position[:, list(g1.FEET), 2].amin(1).cpu()
-        everywhere = torch.arange(len(clip))
+        everywhere = torch.arange(len(clip), device=clip.device)
         self._startable = torch.where(ankles < _BURIED, self._first, everywhere)
         recorded = torch.tensor(reference.recorded, device=clip.device)[clip]
         first = torch.arange(bins, device=clip.device) * _BIN
