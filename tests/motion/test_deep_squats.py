@@ -8,10 +8,10 @@ import pytest
 from openclone.errors import InputError
 from openclone.motion.batch import measure_clip
 from openclone.motion.clip import check_clip, clip_hash
+from openclone.motion.commands import gate_for, is_command
 from openclone.motion.heights import head_heights
 from openclone.motion.quality import Gate, faults
 from openclone.motion.sources.deep_squats import DEEPEST, deep_squat_set, way_down
-from openclone.motion.sources.gliding import gate_for, is_command
 from openclone.robot.kinematics import Kinematics
 
 

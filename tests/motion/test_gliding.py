@@ -9,15 +9,14 @@ import pytest
 
 from openclone.motion.batch import measure_clip
 from openclone.motion.clip import Clip, check_clip, clip_hash
+from openclone.motion.commands import gate_for, is_command
 from openclone.motion.planted import feet_of
 from openclone.motion.quality import Gate, faults
 from openclone.motion.sources import synthetic
 from openclone.motion.sources.gliding import (
     Laps,
-    gate_for,
     gliding_laps,
     gliding_set,
-    is_command,
 )
 from openclone.robot.kinematics import Kinematics
 from openclone.robot.model import standing_qpos

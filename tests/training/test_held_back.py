@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from openclone.motion.clip import Clip, ClipInfo, clip_from_qpos
-from openclone.motion.sources.gliding import is_command
+from openclone.motion.commands import is_command
 from openclone.policy.governor import GovernorConfig
 from openclone.robot.model import standing_qpos
 from openclone.spatial import rotations

@@ -138,8 +138,8 @@ def motions_inspect(
         port: of the view.
         host: address that serves the view; this machine only by default.
     """
+    from openclone.motion.commands import gate_for
     from openclone.motion.quality import Gate, faults
-    from openclone.motion.sources.gliding import gate_for
     from openclone.motion.summary import summarize
 
     motion, quality, recording = _clip_at(clip, recording)

@@ -48,7 +48,7 @@ def _left_out(motions: Path, split: str, categories: str, run: set[str]) -> dict
 
 def _motions(folder: Path, split: str, categories: str) -> list[Clip]:
     """Clips with a whole body to compare with; gliding laps are commands alone."""
-    from openclone.motion.sources.gliding import is_command
+    from openclone.motion.commands import is_command
 
     clips = load_clips((folder,), split, categories)
     return [clip for clip in clips if not is_command(clip.info)]

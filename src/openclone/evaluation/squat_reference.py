@@ -8,9 +8,9 @@ import numpy as np
 
 from openclone.evaluation.episode import Reference, make_reference
 from openclone.motion.clip import ClipInfo, clip_from_qpos
+from openclone.motion.heights import SHOULDER_PITCH
 from openclone.motion.sources.deep_squats import (
     DEEPEST,
-    SHOULDER_PITCH,
     in_seconds,
     way_down,
 )

@@ -19,11 +19,11 @@ from openclone.errors import InputError
 from openclone.motion import library, splits
 from openclone.motion.batch import Job, Outcome, available_workers, run_jobs
 from openclone.motion.clip import ClipInfo, clip_hash, load_clip, save_clip
+from openclone.motion.commands import gate_for
 from openclone.motion.discover import Recording, discover
 from openclone.motion.enrich import Enrichment
 from openclone.motion.quality import ClipQuality, Gate, faults
 from openclone.motion.retarget import VERSION
-from openclone.motion.sources.gliding import gate_for
 
 BUILD_FILE, REJECTS = "build.json", "rejects.tsv"
 EXTRA_COLUMNS = ("source", "performance", "sha256", *ClipQuality.columns())

@@ -21,7 +21,7 @@ from openclone.spatial import rotations
 FIG_3_HEIGHTS = (1.2, 1.1, 1.0, 0.9, 0.8, 0.7, 0.6)
 """Metres of the head above the ground: standing to deep squatting (section 4)."""
 _WAIST_PITCH = 21
-_SHOULDER_PITCH = (22, 29)
+SHOULDER_PITCH = (22, 29)
 """Columns of qpos."""
 _PELVIS_SHARE = 0.6
 """Share of the lean that the hips take; the waist takes the rest."""
@@ -77,7 +77,7 @@ def _lowered(qpos: np.ndarray, drop: np.ndarray, lean: np.ndarray) -> np.ndarray
     waist = low[:, _WAIST_PITCH] + (1.0 - _PELVIS_SHARE) * lean
     limits = g1.JOINT_LOWER[14] + 0.02, g1.JOINT_UPPER[14] - 0.02
     low[:, _WAIST_PITCH] = np.clip(waist, *limits)
-    for column in _SHOULDER_PITCH:
+    for column in SHOULDER_PITCH:
         # The arms keep their direction in the world: hanging arms go on hanging.
         low[:, column] -= lean
     upper = slice(19, 36)

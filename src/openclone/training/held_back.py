@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from openclone.motion.clip import Clip, clip_from_qpos
-from openclone.motion.sources.gliding import COMMAND
+from openclone.motion.commands import COMMAND
 from openclone.policy.command import KeyPoints
 from openclone.policy.governor import Governor, GovernorConfig
 from openclone.robot.model import CONTROL_PERIOD

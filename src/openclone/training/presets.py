@@ -8,7 +8,7 @@ from typing import TypeVar
 
 from openclone.errors import InputError
 from openclone.motion.clip import Clip
-from openclone.motion.sources.gliding import is_command
+from openclone.motion.commands import is_command
 from openclone.odometry.faults import REAL, OdometryFaultsConfig
 from openclone.odometry.noise import OdometryNoiseConfig
 from openclone.policy.mlp import MlpConfig

@@ -12,9 +12,9 @@ import torch
 from scipy.ndimage import gaussian_filter1d
 
 from openclone.motion.clip import Clip
+from openclone.motion.commands import is_command
 from openclone.motion.edit import MIRRORED
 from openclone.motion.library import default_cache
-from openclone.motion.sources.gliding import is_command
 from openclone.policy.teacher import landmarks
 from openclone.robot import g1
 from openclone.robot.model import CONTROL_PERIOD, SensorLayout

@@ -14,18 +14,22 @@ import numpy as np
 
 from openclone.errors import InputError
 from openclone.motion.clip import Clip, ClipInfo, clip_from_qpos
-from openclone.motion.heights import HeightConfig, head_heights, with_head_height
+from openclone.motion.commands import COMMAND
+from openclone.motion.heights import (
+    SHOULDER_PITCH,
+    HeightConfig,
+    head_heights,
+    with_head_height,
+)
 from openclone.motion.planted import EditRefused
 from openclone.motion.sources.choreography import FPS
-from openclone.motion.sources.gliding import COMMAND
 from openclone.robot.model import standing_qpos
 
 DEEPEST = 0.6
 """Metres; the lowest head of a whole-body reference with flat soles. Already at 0.55 m
 the edit of `motion.heights` puts links into each other and is refused."""
-SHOULDER_PITCH = (22, 29)
-"""Columns of qpos, left and right."""
 _SHOULDER_ROLL, _ELBOW = (23, 30), (25, 32)
+"""Columns of qpos, left and right."""
 _LICENCE = "Apache-2.0, made by OpenClone"
 _ATTEMPTS = 20
 _EDIT_S = 1.0

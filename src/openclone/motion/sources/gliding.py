@@ -11,21 +11,17 @@ are from these says nothing.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from openclone.motion.clip import Clip, ClipInfo, clip_from_qpos
+from openclone.motion.commands import GLIDING
 from openclone.motion.planted import feet_of, replanted
-from openclone.motion.quality import Gate
 from openclone.motion.sources.choreography import FPS
 from openclone.robot.model import standing_qpos
 from openclone.spatial import rotations
 
-SOURCE = "openclone gliding laps"
-"""In the clips' info; marks them as commands."""
-COMMAND = "openclone command: "
-"""How the source of all other commands begins."""
 _SECONDS = 45.0
 _LICENCE = "Apache-2.0, made by OpenClone"
 _STRAIGHT_EVERY, _BACKWARD_EVERY = 5, 7
@@ -85,7 +81,7 @@ def gliding_laps(name: str, laps: Laps, seconds: float = _SECONDS) -> Clip:
     upright[:, 2] = standing_qpos()[2]
     qpos = replanted(qpos, feet_of(upright), what=name)
     category = "backward" if laps.backward else "forward"
-    return clip_from_qpos(ClipInfo(name, category, SOURCE, _LICENCE, FPS), qpos)
+    return clip_from_qpos(ClipInfo(name, category, GLIDING, _LICENCE, FPS), qpos)
 
 
 def gliding_set(seed: int, count: int) -> list[Clip]:
@@ -108,19 +104,3 @@ def gliding_set(seed: int, count: int) -> list[Clip]:
         )
         clips.append(gliding_laps(f"synthetic/gliding_{number:02d}", laps))
     return clips
-
-
-def is_command(info: ClipInfo) -> bool:
-    """Whether a clip is a command alone: its legs are no example for anyone."""
-    return info.source == SOURCE or info.source.startswith(COMMAND)
-
-
-def gate_for(info: ClipInfo, gate: Gate) -> Gate:
-    """``gate`` as it is for ``info``: commands may slide their feet.
-
-    Those other than gliding laps may also sink them into the ground.
-    """
-    if not is_command(info):
-        return gate
-    ground = gate.ground_share if info.source == SOURCE else math.inf
-    return replace(gate, slide_cm_s=math.inf, ground_share=ground)
