@@ -24,6 +24,7 @@ def motions_synthesize(
     minutes: float = 30.0,
     gliding: int = 0,
     deep_squats: int = 0,
+    free_hands: int = 0,
     workers: int | None = None,
 ) -> None:
     """Make the default synthetic motions and write them as clip files.
@@ -36,22 +37,27 @@ def motions_synthesize(
             an operator's head moves, feet sliding on purpose. For training only.
         deep_squats: also so many squats to heads of 0.6 to 0.75 m, every other one, on
             purpose, up to 0.17 m into the ground: for training.
+        free_hands: also so many motions whose hands go wherever arms can, above the
+            head too, while the body sways, leans or walks.
         workers: processes; one per core by default. The result is the same.
     """
     from openclone.motion.batch import available_workers
     from openclone.motion.clip import save_clip
     from openclone.motion.sources.deep_squats import deep_squat_set
+    from openclone.motion.sources.free_hands import free_hands_set
     from openclone.motion.sources.gliding import gliding_set
     from openclone.motion.sources.synthetic import default_set
 
     positive("--minutes", minutes)
-    for option, count in (("--gliding", gliding), ("--deep-squats", deep_squats)):
+    extras = {"gliding": gliding, "deep-squats": deep_squats, "free-hands": free_hands}
+    for option, count in extras.items():
         if count < 0:
-            raise InputError(f"{option} is {count}", remedy="give 0 or more")
+            raise InputError(f"--{option} is {count}", remedy="give 0 or more")
     positive("--workers", workers)
     workers = workers or available_workers()
     clips = default_set(seed, minutes, workers=1 if minutes < 3 else workers)
     clips += gliding_set(seed, gliding) + deep_squat_set(seed, deep_squats)
+    clips += free_hands_set(seed, free_hands)
     for clip in clips:
         save_clip(clip, out / file_name(clip))
     total = sum(clip.seconds for clip in clips) / 60

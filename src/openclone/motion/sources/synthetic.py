@@ -41,7 +41,7 @@ _SHORTEST_S, _LONGEST_S = 4.2, 12.0
 _MEAN_CLIP_S = 8.3
 
 
-def _start(rng: np.random.Generator, **changes: float | bool) -> Choreography:
+def start(rng: np.random.Generator, **changes: float | bool) -> Choreography:
     """A robot standing quietly in a pose of its own."""
     settings = {
         "width": rng.uniform(0.21, 0.26),
@@ -59,7 +59,7 @@ def _start(rng: np.random.Generator, **changes: float | bool) -> Choreography:
     return score
 
 
-def _finish(score: Choreography) -> None:
+def finish(score: Choreography) -> None:
     """Stand quietly at the end; breathe and sway a little throughout."""
     rng = score.rng
     score.hold(max(rng.uniform(0.8, 1.3), _SHORTEST_S - score.time_s))
@@ -105,14 +105,14 @@ def _solve_clear(plan: Plan) -> np.ndarray:
 def _compose(category: str, rng: np.random.Generator, pace: float) -> Choreography:
     """Write down one motion; it may be too long, or beyond the robot's reach."""
     if category == "jump":
-        score = _start(rng, ballistic=True, height=rng.uniform(0.67, 0.68))
+        score = start(rng, ballistic=True, height=rng.uniform(0.67, 0.68))
     elif category == "crouchwalk":
-        score = _start(rng, width=rng.uniform(0.185, 0.21))
+        score = start(rng, width=rng.uniform(0.185, 0.21))
     else:
-        score = _start(rng)
+        score = start(rng)
     score.pace = pace
     _CHOREOGRAPHIES[category](score)
-    _finish(score)
+    finish(score)
     return score
 
 
@@ -144,9 +144,18 @@ def generate(
         LICENCE,
         FPS,
     )
+    return solved(info, lambda: _compose(category, rng, pace))
+
+
+def solved(
+    info: ClipInfo,
+    compose: Callable[[], Choreography],
+    longest_s: float = _LONGEST_S,
+) -> Clip:
+    """The first of the scores that ``compose`` writes which the robot can play."""
     while True:
-        score = _compose(category, rng, pace)
-        if score.time_s > _LONGEST_S:
+        score = compose()
+        if score.time_s > longest_s:
             continue
         try:
             qpos = _solve_clear(score.plan())
