@@ -150,3 +150,28 @@ def test_one_process_that_fails_ends_the_others():
     assert in_processes(2, [sys.executable, "-c", script]) == 3
     script = "import os; assert os.environ['WORLD_SIZE'] == '3'"
     assert in_processes(3, [sys.executable, "-c", script]) == 0
+
+
+_BOTH = """
+import sys
+from pathlib import Path
+
+from openclone.cli import learning
+from openclone.motion.clip import load_clip
+from torch import distributed
+
+join, joins = distributed.init_process_group, []
+distributed.init_process_group = lambda *a: (joins.append(a), join(*a))
+learning._training_clips = lambda _: [load_clip(Path(sys.argv[1]))]
+learning.train_student(preset="smoke", out=Path(sys.argv[2]), threads=1)
+assert len(joins) == 1, joins
+"""
+
+
+def test_teacher_and_student_share_one_team(clip_file, tmp_path):
+    # Processes that parted after the teacher did not always find each other again.
+    script = tmp_path / "both.py"
+    script.write_text(_BOTH)
+    torchrun(script, clip_file, tmp_path)
+    assert load_checkpoint(tmp_path / "teacher" / "teacher.pt")["iterations"] == 3
+    assert load_checkpoint(tmp_path / "student.pt")["phase"] == "ppo"

@@ -204,25 +204,30 @@ def train_student(
     if _again_in(processes):
         return
     from openclone.training import student
+    from openclone.training.distributed import joined
 
     settings = _student_settings(preset, categories, minutes)
     clips, hardware = _training_clips(motions), _hardware(physics, device, model)
-    if teacher is None:
-        teacher = _own_teacher(settings, clips, out, resume, seed, threads, hardware)
-        resume &= not settings.teacher or (out / student.CHECKPOINT).is_file()
-    path = student.train_student(
-        clips,
-        teacher,
-        settings,
-        out,
-        minutes=minutes,
-        tuning_minutes=tuning_minutes,
-        resume=resume,
-        start=start,
-        seed=seed,
-        threads=threads,
-        hardware=hardware,
-    )
+    # Processes that part after the teacher may not find each other a second time.
+    with joined(hardware.torch_device()):
+        if teacher is None:
+            teacher = _own_teacher(
+                settings, clips, out, resume, seed, threads, hardware
+            )
+            resume &= not settings.teacher or (out / student.CHECKPOINT).is_file()
+        path = student.train_student(
+            clips,
+            teacher,
+            settings,
+            out,
+            minutes=minutes,
+            tuning_minutes=tuning_minutes,
+            resume=resume,
+            start=start,
+            seed=seed,
+            threads=threads,
+            hardware=hardware,
+        )
     print(f"policy bundle: {path}")
 
 
