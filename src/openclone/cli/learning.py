@@ -203,23 +203,17 @@ def train_student(
     """
     if _again_in(processes):
         return
-    from openclone.training import student
-    from openclone.training.distributed import joined
+    from openclone.training import distributed, student
 
     settings = _student_settings(preset, categories, minutes)
     clips, hardware = _training_clips(motions), _hardware(physics, device, model)
-    # Processes that part after the teacher may not find each other a second time.
-    with joined(hardware.torch_device()):
+    with distributed.joined(hardware.torch_device()):
         if teacher is None:
-            teacher = _own_teacher(
-                settings, clips, out, resume, seed, threads, hardware
-            )
+            teacher = _teacher(settings, clips, out, resume, seed, threads, hardware)
             resume &= not settings.teacher or (out / student.CHECKPOINT).is_file()
+        basis = clips, teacher, settings, out
         path = student.train_student(
-            clips,
-            teacher,
-            settings,
-            out,
+            *basis,
             minutes=minutes,
             tuning_minutes=tuning_minutes,
             resume=resume,
@@ -249,7 +243,7 @@ def _hush_exporter() -> None:
     warnings.filterwarnings("ignore", message=".*treespec, LeafSpec")
 
 
-def _own_teacher(
+def _teacher(
     settings: StudentPreset,
     clips: list[Clip],
     out: Path,
@@ -260,7 +254,8 @@ def _own_teacher(
 ) -> Path:
     """Train the teacher that the student's preset names; otherwise the default one.
 
-    A run that was interrupted in its teacher has no student yet.
+    A run that was interrupted in its teacher has no student yet. Processes that part
+    after it may not find each other again: the caller's team does both.
     """
     if not settings.teacher:
         return _DEFAULT_TEACHER
