@@ -28,7 +28,7 @@ _LONGEST_S = 24.0
 
 
 def random_arm(rng: np.random.Generator, side: int) -> np.ndarray:
-    """(7,) angles anywhere in the arm's working range, half of them raised."""
+    """(7,) radians, motor order, of arm ``side`` (`LEFT`, `RIGHT`); half are raised."""
     arm = rng.uniform(_LOWEST, _HIGHEST)
     if rng.uniform() < _RAISED_SHARE:
         arm[0] = rng.uniform(*_RAISED)
@@ -124,7 +124,7 @@ def _compose(rng: np.random.Generator) -> Choreography:
 
 
 def free_hands_set(seed: int, count: int) -> list[Clip]:
-    """``count`` clips of category ``reach``; equal seeds give equal ones."""
+    """``count`` clips of category ``reach``, 50 Hz; equal seeds give equal ones."""
     clips = []
     for number in range(count):
         rng = np.random.default_rng([seed, number, 1])
