@@ -1,11 +1,19 @@
 """What PPO is told about a step."""
 
+import copy
 from dataclasses import replace
 
 import pytest
 import torch
+from tensordict import TensorDict
 
-from openclone.training.ppo import PpoConfig, build_ppo, collect, mlp_model
+from openclone.training.ppo import (
+    PpoConfig,
+    build_ppo,
+    collect,
+    mlp_model,
+    resume_ppo,
+)
 from openclone.training.progress import Budget, Progress
 from openclone.training.tally import Tally
 from openclone.training.teacher import GROUP, TeacherEnvironment
@@ -60,3 +68,57 @@ def test_steps_say_who_was_pushed(make_task):
     assert kicked > 2.0 * change[alive & ~result.pushed].mean()
     task.config = replace(task.config, push_speed=0.0)
     assert not task.step(task.base_targets()).pushed.any()
+
+
+def small_ppo(config=CONFIG):
+    """PPO on three observations, and these."""
+    torch.manual_seed(0)
+    seen = TensorDict({GROUP: torch.randn(8, 3)}, batch_size=[8])
+    networks = (mlp_model(seen, GROUP, size, config) for size in (29, 1))
+    return build_ppo(seen, *networks, config), seen
+
+
+def updated(ppo, seen):
+    """``ppo`` after one update."""
+    with torch.inference_mode():
+        for _ in range(CONFIG.steps):
+            ppo.act(seen)
+            rewards, dones = torch.randn(8), torch.zeros(8, dtype=torch.bool)
+            ppo.process_env_step(seen, rewards, dones, {"time_outs": dones})
+        ppo.compute_returns(seen)
+    ppo.update()
+    return ppo
+
+
+def test_only_the_actors_rate_follows_the_divergence():
+    config = replace(CONFIG, learning_rate=1e-4, critic_rate=2e-3, kl=10.0)
+    ppo, seen = small_ppo(config)
+    actor, critic = updated(ppo, seen).optimizer.param_groups
+    assert actor["lr"] == ppo.learning_rate > 1e-4
+    assert critic["lr"] == 2e-3
+    assert [id(p) for p in critic["params"]] == [id(p) for p in ppo.critic.parameters()]
+
+
+def test_values_may_change_as_far_as_returns_do():
+    """rsl_rl would hold them within 0.2 of what they were, in units of the return."""
+    ppo, _ = small_ppo()
+    assert not ppo.use_clipped_value_loss
+
+
+def test_checkpoints_with_one_rate_for_both_go_on():
+    """So PPO's optimizer was saved once, the packaged teacher's too."""
+    ppo, seen = small_ppo()
+    nets = (*ppo.actor.parameters(), *ppo.critic.parameters())
+    ppo.optimizer = torch.optim.Adam(nets, lr=3e-5)
+    content = copy.deepcopy(updated(ppo, seen).save())
+    assert len(content["optimizer_state_dict"]["param_groups"]) == 1
+    again, _ = small_ppo()
+    resume_ppo(again, content)
+    for old, new in zip(
+        nets, (*again.actor.parameters(), *again.critic.parameters()), strict=True
+    ):
+        for name in ("exp_avg", "exp_avg_sq", "step"):
+            saved, loaded = ppo.optimizer.state[old], again.optimizer.state[new]
+            torch.testing.assert_close(loaded[name], saved[name])
+    critic = updated(again, seen).optimizer.param_groups[1]
+    assert critic["lr"] == CONFIG.critic_rate

@@ -153,11 +153,15 @@ def slow(ppo: PPO) -> PPO:
         theirs.load_state_dict(model.obs_normalizer.state_dict())
         model.obs_normalizer = theirs
     storage = RolloutStorage("rl", ROBOTS, STEPS, example(), [29], "cpu")
-    return PPO(
+    plain = PPO(
         ppo.actor, ppo.critic, storage, num_learning_epochs=3, num_mini_batches=4,
         entropy_coef=CONFIG.entropy, learning_rate=CONFIG.learning_rate,
-        desired_kl=CONFIG.kl,
+        desired_kl=CONFIG.kl, use_clipped_value_loss=False,
     )  # fmt: skip
+    plain.optimizer = ppo.optimizer
+    for group in plain.optimizer.param_groups:
+        group["fused"] = None
+    return plain
 
 
 def iteration(ppo: PPO) -> dict[str, float]:

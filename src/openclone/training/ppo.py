@@ -31,7 +31,10 @@ class PpoConfig:
     Attributes:
         steps: control steps per robot and iteration.
         epochs, minibatches: passes over the data, pieces per pass.
-        learning_rate: initial; adapted to keep the KL divergence near ``kl``.
+        learning_rate: initial, of the actor; adapted to keep the KL divergence near
+            ``kl``.
+        critic_rate: learning rate of the critic, which has no divergence to keep; as
+            slow as a careful actor it would always be out of date.
         slowest, fastest: learning rates at which an update may start.
         kl: target divergence per update.
         final_kl: the target at the end of the run, approached geometrically; None:
@@ -48,6 +51,7 @@ class PpoConfig:
     epochs: int = 4
     minibatches: int = 2
     learning_rate: float = 3e-4
+    critic_rate: float = 5e-4
     slowest: float = 1e-4
     fastest: float = 1e-3
     kl: float = 0.05
@@ -109,6 +113,34 @@ def mlp_model(
     return model
 
 
+class _TwoRates(torch.optim.Adam):
+    """Adam in which the critic keeps its own learning rate.
+
+    PPO sets one rate, the actor's, for all groups before each step.
+    """
+
+    def __init__(
+        self, actor: torch.nn.Module, critic: torch.nn.Module, config: PpoConfig
+    ) -> None:
+        groups = [{"params": list(net.parameters())} for net in (actor, critic)]
+        super().__init__(groups, lr=config.learning_rate, fused=True)
+        self.critic_rate = config.critic_rate
+
+    def step(self, closure: Any = None) -> Any:
+        self.param_groups[1]["lr"] = self.critic_rate
+        return super().step(closure)
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Go on; checkpoints of before held actor and critic in one group."""
+        groups = state_dict["param_groups"]
+        if len(groups) == 1:
+            count = len(self.param_groups[0]["params"])
+            numbers = groups[0]["params"]
+            parts = (numbers[:count], numbers[count:])
+            groups = [{**groups[0], "params": part} for part in parts]
+        super().load_state_dict({**state_dict, "param_groups": groups})
+
+
 def build_ppo(
     example: TensorDict, actor: MLPModel, critic: MLPModel, config: PpoConfig
 ) -> PPO:
@@ -125,10 +157,12 @@ def build_ppo(
         entropy_coef=config.entropy,
         learning_rate=config.learning_rate,
         desired_kl=config.kl,
+        # Returns span tens of units: within ±0.2 an update could change little.
+        use_clipped_value_loss=False,
         device=storage.device,
         multi_gpu_cfg=team().ppo_settings,
     )
-    fuse(ppo.optimizer)
+    ppo.optimizer = _TwoRates(actor, critic, config)
     return ppo
 
 
