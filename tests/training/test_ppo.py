@@ -74,8 +74,8 @@ def small_ppo(config=CONFIG):
     """PPO on three observations, and these."""
     torch.manual_seed(0)
     seen = TensorDict({GROUP: torch.randn(8, 3)}, batch_size=[8])
-    networks = (mlp_model(seen, GROUP, size, config) for size in (29, 1))
-    return build_ppo(seen, *networks, config), seen
+    actor, critic = (mlp_model(seen, GROUP, size, config) for size in (29, 1))
+    return build_ppo(seen, actor, critic, config), seen
 
 
 def updated(ppo, seen):
