@@ -33,8 +33,8 @@ class PpoConfig:
         epochs, minibatches: passes over the data, pieces per pass.
         learning_rate: initial, of the actor; adapted to keep the KL divergence near
             ``kl``.
-        critic_rate: learning rate of the critic, which has no divergence to keep; as
-            slow as a careful actor it would always be out of date.
+        critic_rate: learning rate of the critic, which has no divergence to keep and
+            need not be as slow as a careful actor.
         slowest, fastest: learning rates at which an update may start.
         kl: target divergence per update.
         final_kl: the target at the end of the run, approached geometrically; None:
