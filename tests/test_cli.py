@@ -284,9 +284,11 @@ def test_evaluate_tracking_writes_json(openclone, policy_file, clip_file, tmp_pa
     folder.mkdir()
     clip_file.rename(folder / clip_file.name)
     words = ("--motions", folder, "--policy", policy_file, "--json", path)
-    result = openclone("evaluate", "tracking", *words)
+    result = openclone("evaluate", "tracking", "--no-look", *words)
     assert result.code == 0, result.err
+    assert "its place alone" in result.out
     content = json.loads(path.read_text())
+    assert content["head_orientation"] is False
     keys = {"sr", "mpkpe_mm", "r_mpkpe_mm", "e_vel_mm_s", "e_hand_x100"}
     for part in (
         content,

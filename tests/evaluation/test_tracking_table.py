@@ -98,6 +98,9 @@ def test_text_says_how_it_was_measured_beside_paper_and_target(three_seeds):
         assert word in text.splitlines()[0]
     assert text.splitlines()[-2].split()[-5:] == ["100", "87.8", "33.3", "227", "3.61"]
     assert text.splitlines()[-1].split()[3::2] == ["98", "80", "33", "227", "3.6"]
+    assert "its place alone" not in text
+    free = text_table(three_seeds, TrackingSetup(look=False))
+    assert "of the head its place alone" in free
     plain = text_table(three_seeds, TrackingSetup(noise=False))
     assert "odometry noise off" in plain
     assert "target" not in plain

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ from openclone.robot import g1
 from openclone.spatial import rotations
 
 # Where the groups of the task part begin (module docstring of `observation`).
-DIFFERENCE, POSITION, VELOCITY, WRISTS, TARGET_WRISTS = 0, 9, 18, 27, 39
+DIFFERENCE, POSITION, VELOCITY, WRISTS, TARGET_WRISTS, HEAD = 0, 9, 18, 27, 39, 51
 
 
 def quats(rng: np.random.Generator, *shape: int) -> np.ndarray:
@@ -49,18 +49,21 @@ def to_torch(item):
     """The same dataclass with torch tensors instead of arrays."""
     if isinstance(item, np.ndarray):
         return torch.from_numpy(item)
+    if isinstance(item, float):
+        return item
     return type(item)(
         **{field.name: to_torch(getattr(item, field.name)) for field in fields(item)}
     )
 
 
-def test_sizes_are_those_of_the_paper() -> None:
+def test_sizes_are_those_of_the_paper_and_the_head() -> None:
     # q, dq, previous action: 29 each; angular velocity and gravity: 3 each.
     assert observation.FRAME_SIZE == 29 * 3 + 6
-    # Per point: difference, target, velocity (3 each); per wrist: two 6D rotations.
-    assert observation.TASK_SIZE == 3 * 9 + 2 * 12
+    # Per point: difference, target, velocity (3 each) and two 6D rotations, of which
+    # the paper has those of the wrists alone.
+    assert observation.TASK_SIZE == 3 * 9 + 2 * 12 + 12
     assert observation.HISTORY == 25
-    assert observation.student_size() == 51 + 25 * 93
+    assert observation.student_size() == 63 + 25 * 93
 
 
 def test_task_part_by_hand() -> None:
@@ -76,7 +79,7 @@ def test_task_part_by_hand() -> None:
     )
     velocity = np.array([[0.0, 1.0, 0.0], [-0.4, 0.0, 0.0], [0.0, 0.0, 0.2]])
     part = observation.task(Command(target, velocity), measured, heading)
-    assert part.shape == (51,)
+    assert part.shape == (63,)
     difference = part[DIFFERENCE:POSITION].reshape(3, 3)
     # The head goes 0.1 m ahead and 0.1 m up, the right hand half a metre ahead.
     assert np.allclose(difference, [[0.1, 0, 0.1], [0, 0, 0], [0.5, 0, 0]])
@@ -90,7 +93,26 @@ def test_task_part_by_hand() -> None:
     right_turned = [0, -1, 0, 1, 0, 0]
     assert np.allclose(part[WRISTS:TARGET_WRISTS], right_turned * 2)
     straight = [1, 0, 0, 0, 1, 0]
-    assert np.allclose(part[TARGET_WRISTS:], straight + right_turned)
+    assert np.allclose(part[TARGET_WRISTS:HEAD], straight + right_turned)
+    assert np.allclose(part[HEAD:], right_turned * 2)
+
+
+def test_a_free_look_is_not_told_and_changes_nothing_else() -> None:
+    rng = np.random.default_rng(3)
+    command, measured = scene(rng, 4)
+    ahead = rotations.heading(quats(rng, 4))
+    told = observation.task(command, measured, ahead)
+    look = np.array([1.0, 0.0, 1.0, 0.0])
+    part = observation.task(replace(command, look=look), measured, ahead)
+    assert np.array_equal(part[[0, 2]], told[[0, 2]])
+    assert np.array_equal(part[[1, 3], :HEAD], told[[1, 3], :HEAD])
+    assert not part[[1, 3], HEAD:].any()
+    elsewhere = quats(rng, 4, 3)
+    elsewhere[:, 1:] = command.target.quat[:, 1:]
+    turned = replace(command, target=replace(command.target, quat=elsewhere))
+    other = observation.task(replace(turned, look=look), measured, ahead)
+    assert np.array_equal(other[[1, 3]], part[[1, 3]])
+    assert np.abs(other - part)[[0, 2], HEAD + 6 :].min(axis=1).max() > 0.0
 
 
 def test_horizontal_differences_end_at_a_metre() -> None:
@@ -179,9 +201,9 @@ def test_history_keeps_the_newest_first() -> None:
     # 30 frames were pushed into room for 25: 30, 29, ... 6 remain.
     assert np.array_equal(history.frames[:, 0], np.arange(30, 5, -1))
     assert np.array_equal(history.flat()[:93], np.full(93, 30.0))
-    whole = observation.student(np.full(51, -1.0), history)
+    whole = observation.student(np.full(63, -1.0), history)
     assert whole.shape == (observation.student_size(),)
-    assert np.array_equal(whole[:52], [*[-1.0] * 51, 30.0])
+    assert np.array_equal(whole[:64], [*[-1.0] * 63, 30.0])
 
 
 def test_history_restarts_only_where_an_episode_ended() -> None:

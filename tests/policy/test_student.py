@@ -68,7 +68,7 @@ def test_other_networks_and_histories_run_in_the_loop(network, history, tmp_path
     path = tmp_path / "ablation.onnx"
     export_bundle(model, g1_info("ablation", "", "", history), path)
     bundle = load_bundle(path)
-    assert bundle.info.observation_size == 51 + 93 * history
+    assert bundle.info.observation_size == 63 + 93 * history
     controller = StudentController(bundle)
     points = KeyPoints(np.zeros((3, 3)), np.tile([1.0, 0, 0, 0], (3, 1)))
     command = Command(points, np.zeros((3, 3)))
@@ -118,7 +118,7 @@ def change(path, target, key, value):
         ("history", "5", "history is 5"),
         ("history", "2.5", "history is 2.5"),
         ("history", "100000", "history is 100000"),
-        ("observation_size", "100", "observation_size must be 2376"),
+        ("observation_size", "100", "observation_size must be 2388"),
         ("joint_names", '["a", "b"]', "joint_names"),
         ("kp", "[1.0, 2.0]", "kp must be 29"),
         ("format", '"nothing"', "metadata"),

@@ -221,3 +221,9 @@ def test_batches_agree_with_single_items(name):
     whole = TWINS[name](*arguments)
     one = TWINS[name](*(item[2, 1] for item in arguments))
     assert np.allclose(whole[2, 1], one, atol=1e-12)
+
+
+def test_vertical_is_the_turned_z_axis() -> None:
+    quats = rot.normalize(np.random.default_rng(0).standard_normal((20, 4)))
+    up = np.tile([0.0, 0.0, 1.0], (20, 1))
+    assert np.allclose(rot.vertical(quats), rot.rotate(quats, up), atol=1e-12)

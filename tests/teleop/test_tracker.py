@@ -13,7 +13,7 @@ from openclone.teleop.calibration import (
     calibrate,
 )
 from openclone.teleop.messages import OperatorFrame
-from openclone.teleop.tracker import OperatorTracker, blend_commands
+from openclone.teleop.tracker import OperatorTracker, TrackerConfig, blend_commands
 
 PERIOD_NS = 11_111_111
 ALL = np.ones(3, dtype=bool)
@@ -164,6 +164,17 @@ def test_a_short_gap_keeps_the_map_and_a_long_way_moves_it(
         before = calibration.apply(STANDING_HUMAN, ARMS_DOWN).position
         expected = before if moves else honest
         np.testing.assert_allclose(target.position, expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("look", [True, False])
+def test_who_looks_around_freely_says_so(calibration: Calibration, look: bool) -> None:
+    tracker = OperatorTracker(calibration, TrackerConfig(look=look))
+    last = walk(tracker, 20, 0.5)
+    for stale in (True, False):
+        command = tracker.command(last.receive_stamp_ns, stale)
+        assert command.look == float(look)
+        blended = blend_commands(command.target, command, 0.5)
+        assert blended.look == float(look)
 
 
 def test_blend_begins_and_ends_exactly_and_rises_smoothly() -> None:

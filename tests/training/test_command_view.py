@@ -47,6 +47,34 @@ def test_teacher_and_student_have_the_same_task(make_task):
     torch.testing.assert_close(task.action, action, atol=1e-5, rtol=0)
 
 
+def test_some_operators_look_around_freely(make_task):
+    """Their robots' students and teachers are not told where; all else is the same."""
+    tasks = {share: make_task(64, look_share=share, **CALM) for share in (0.0, 0.5, 1)}
+    seen = {share: task.teacher_observation() for share, task in tasks.items()}
+    head = slice(TASK_SIZE - 12, TASK_SIZE)
+    assert not seen[0.0][:, head].any()
+    assert (seen[1][:, head].norm(dim=1) > 1.9).all()  # two rotations of length √2
+    told = tasks[0.5].command().look == 1.0
+    assert 16 < int(told.sum()) < 48
+    torch.testing.assert_close(seen[0.5][told], seen[1][told])
+    torch.testing.assert_close(seen[0.5][~told], seen[0.0][~told])
+    for values in seen.values():
+        values[:, head] = 0.0
+    torch.testing.assert_close(seen[1], seen[0.0])
+
+
+def test_the_head_s_orientation_is_the_reference_s(make_task):
+    task = make_task(4, look_share=1.0, **CALM)
+    robot, wanted = task.robot_state(), task.next_reference()
+    back = rotations.conjugate(rotations.heading(robot.body_quat[:, g1.ROOT]))
+    expected = [
+        rotations.to_6d(rotations.multiply(back, state.body_quat[:, g1.TORSO]))
+        for state in (robot, wanted)
+    ]
+    seen = task.teacher_observation()[:, TASK_SIZE - 12 : TASK_SIZE]
+    torch.testing.assert_close(seen, torch.cat(expected, 1), atol=1e-5, rtol=0)
+
+
 def test_the_reference_s_legs_are_not_seen(make_task):
     task = make_task(4, **CALM)
     robot, reference = task.robot_state(), task.next_reference()

@@ -58,7 +58,7 @@ def test_the_bundle_runs_and_says_what_it_is(trained, make_clip, tmp_path):
         [make_clip()], trained[1], STUDENT, tmp_path, resume=True, threads=1
     )
     bundle = load_bundle(path)
-    assert bundle.act(np.zeros((2, 2376))).shape == (2, 29)
+    assert bundle.act(np.zeros((2, 2388))).shape == (2, 29)
     assert f"ppo, {2 * STEPS} steps" in bundle.info.training
     assert len(bundle.info.data_hash) == 64
 
@@ -329,7 +329,7 @@ def test_ablations_train(name, trained, make_clip, tmp_path, no_export):
     layers, experts, history = shape
     routers = [v for k, v in state.items() if k.endswith("router.weight")]
     assert [v.shape[0] for v in routers] == [experts] * layers
-    assert state["mlp.stem.weight"].shape[1] == 51 + 93 * history
+    assert state["mlp.stem.weight"].shape[1] == 63 + 93 * history
 
 
 def test_other_data_is_recordings_as_they_were(make_clip):

@@ -46,6 +46,7 @@ def test_training_and_loop_agree(make_task):
                 command.target.quat[0].double().numpy(),
             ),
             command.velocity[0].double().numpy(),
+            float(command.look[0]),
         )
         base = state.body_quat[0, g1.ROOT].double().numpy()
         turn = view._proprioception()

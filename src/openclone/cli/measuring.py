@@ -55,7 +55,12 @@ def _motions(folder: Path, split: str, categories: str) -> list[Clip]:
 
 
 def _over_seeds(
-    clips: list[Clip], bundle: Bundle, noise: bool, seed: int, seeds: int
+    clips: list[Clip],
+    bundle: Bundle,
+    noise: bool,
+    look: bool,
+    seed: int,
+    seeds: int,
 ) -> TrackingReport:
     """Run ``clips`` with the odometry seeds ``seed``, ``seed + 1``, ..."""
     from openclone.evaluation import tracking
@@ -70,6 +75,7 @@ def _over_seeds(
                 clips,
                 bundle,
                 noise=tracking.DEFAULT_NOISE if noise else None,
+                look=look,
                 seed=seed + number,
                 progress=_print_clip,
             )
@@ -84,6 +90,7 @@ def evaluate_tracking(
     categories: str = "",
     policy: Path | None = None,
     noise: bool = True,
+    look: bool = True,
     seed: int = 0,
     seeds: int = 1,
     json: Path | None = None,
@@ -98,6 +105,7 @@ def evaluate_tracking(
         categories: only these, separated by commas; all by default.
         policy: policy bundle; the packaged student by default.
         noise: add the odometry error of Eq. 2.
+        look: tell the policy how the head is turned, which section 3.1 does not.
         seed: of the odometry error.
         seeds: run all motions this often, with the seeds SEED, SEED + 1, ..., and give
             mean and standard deviation.
@@ -116,16 +124,15 @@ def evaluate_tracking(
         clips = synthetic_clips(_HELD_OUT_SEED, 2.0, categories)
     else:
         clips = _motions(motions, split, categories)
-    left_out = {}
-    if motions is not None:
-        names = {clip.info.name for clip in clips}
-        left_out = _left_out(motions, split, categories, names)
-    report = _over_seeds(clips, bundle, noise, seed, seeds)
+    names = {clip.info.name for clip in clips}
+    left_out = _left_out(motions, split, categories, names) if motions else {}
+    report = _over_seeds(clips, bundle, noise, look, seed, seeds)
     setup = TrackingSetup(
         split if motions else "",
         category_names(categories) or CATEGORIES,
         left_out,
         noise,
+        look,
     )
     print(text_table(report, setup))
     write_figures(json, figures(report, setup))

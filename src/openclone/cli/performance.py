@@ -33,12 +33,16 @@ class Performance:
     config: SessionConfig
 
 
-def load_performance(path: Path, seconds: float | None) -> Performance:
+def load_performance(
+    path: Path, seconds: float | None, look: bool = True
+) -> Performance:
     """Read a clip (.npz) or a human recording, which is retargeted for its metrics."""
     from openclone.teleop.loop import LoopConfig
     from openclone.teleop.operators.replay import ReplayConfig
     from openclone.teleop.session import SessionConfig
+    from openclone.teleop.tracker import TrackerConfig
 
+    tracker = TrackerConfig(look=look)
     # With a given length the operator stays at the end of the recording.
     replay = ReplayConfig(tail_s=1.0 if seconds is None else max(seconds, 1.0))
     if path.suffix == ".npz":
@@ -47,7 +51,7 @@ def load_performance(path: Path, seconds: float | None) -> Performance:
         from openclone.robot.kinematics import Kinematics
 
         clip = load_clip(path)
-        loop = LoopConfig(calibration=calibration_of_operator())
+        loop = LoopConfig(calibration_of_operator(), tracker)
         recording = operator_of(clip, Kinematics())
         config = SessionConfig(loop, replay)
         return Performance(recording, clip.info, _reference(clip), config)
@@ -64,7 +68,7 @@ def load_performance(path: Path, seconds: float | None) -> Performance:
     except CannotFollowError as error:
         print(f"no reference to measure against: {error}")
         reference = None
-    config = SessionConfig(LoopConfig(calibration=calibration), replay)
+    config = SessionConfig(LoopConfig(calibration, tracker), replay)
     return Performance(recording, info, reference, config)
 
 

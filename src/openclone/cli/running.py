@@ -51,6 +51,7 @@ def teleop(
     odometry: Literal["ground-truth", "lio", "rko"] = "ground-truth",
     world: Literal["flat", "room", "corridor", "hall", "glass", "people"] | None = None,
     noise: bool = True,
+    look: bool = True,
     seed: int = 0,
     json: Path | None = None,
     record: Path | None = None,
@@ -68,6 +69,7 @@ def teleop(
         odometry: the simulator's truth, FAST-LIO2 (lio) or rko_lio (rko).
         world: where the robot is; by default flat ground, with a LiDAR the room.
         noise: add the odometry error of Eq. 2 to the truth.
+        look: the robot turns as the operator's head does; else one looks freely.
         seed: of the odometry error, or of the simulated sensors.
         json: write the measurements to this file.
         record: write every tick to this .npz file.
@@ -80,7 +82,7 @@ def teleop(
 
     positive("--seconds", seconds)
     bundle = load_bundle(policy)
-    performance = load_performance(recording, seconds)
+    performance = load_performance(recording, seconds, look)
     with _view(port if view else None) as page:
         if page is not None:
             _announce(page, performance)
@@ -96,9 +98,7 @@ def teleop(
             world=world or ("flat" if odometry == "ground-truth" else "room"),
             odometry=odometry,
         )
-    figures = _session_figures(result, measure_session(performance, result))
-    if odometry != "ground-truth":
-        figures["odometry"] = _odometry_figures(result, odometry)
+    figures = _session_figures(result, measure_session(performance, result), odometry)
     write_figures(json, {"operator": operator, **figures})
     _save(result, record)
 
@@ -113,17 +113,20 @@ def _save(result: SessionResult, path: Path | None) -> None:
 
 
 def _session_figures(
-    result: SessionResult, report: TrackingReport | None
+    result: SessionResult, report: TrackingReport | None, odometry: str
 ) -> dict[str, object]:
     """Print what a session achieved, and return it for a JSON file."""
     from openclone.evaluation.report import COLUMNS, table_row
 
     loop = asdict(result.stats)
     print_figures(loop)
-    if report is None:
-        return {"loop": loop}
-    print_figures(dict(zip(COLUMNS, table_row(report.overall), strict=True)))
-    return {**report.to_json(), "loop": loop}
+    figures: dict[str, object] = {"loop": loop}
+    if report is not None:
+        print_figures(dict(zip(COLUMNS, table_row(report.overall), strict=True)))
+        figures |= report.to_json()
+    if odometry != "ground-truth":
+        figures["odometry"] = _odometry_figures(result, odometry)
+    return figures
 
 
 def _odometry_figures(result: SessionResult, name: str) -> dict[str, object]:

@@ -128,8 +128,15 @@ class Episode:
         return self.state
 
 
-def run_clip(episode: Episode, reference: Reference) -> tuple[Trace, np.ndarray]:
+def run_clip(
+    episode: Episode, reference: Reference, look: bool = True
+) -> tuple[Trace, np.ndarray]:
     """Follow ``reference`` to its end or to a fall.
+
+    Args:
+        episode: the robot on the first frame.
+        reference: what it is commanded.
+        look: tell the student how the head is turned (`Command.look`).
 
     Returns:
         The trace, frames 1 to T of the reference, and the robot's qpos ``(T, 36)``.
@@ -138,7 +145,8 @@ def run_clip(episode: Episode, reference: Reference) -> tuple[Trace, np.ndarray]
     fell = False
     for t in range(1, len(reference.qpos)):
         target = KeyPoints(reference.points[t], reference.point_quats[t])
-        state = episode.step(Command(target, reference.point_velocities[t]))
+        velocity = reference.point_velocities[t]
+        state = episode.step(Command(target, velocity, float(look)))
         positions.append(state.body_position.copy())
         quats.append(state.body_quat.copy())
         angles.append(state.joint_angles.copy())

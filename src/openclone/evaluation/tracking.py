@@ -163,6 +163,7 @@ def evaluate_tracking(
     bundle: Bundle,
     *,
     noise: OdometryNoiseConfig | None = DEFAULT_NOISE,
+    look: bool = True,
     seed: int = 0,
     progress: Callable[[int, int, str, ClipResult], None] | None = None,
 ) -> TrackingReport:
@@ -172,6 +173,7 @@ def evaluate_tracking(
         clips: the references; their names must differ.
         bundle: the student.
         noise: Eq. 2's constants, or None for perfect odometry.
+        look: tell the student how the head is turned; section 3.1 does not.
         seed: of the odometry noise. A clip's noise depends on the seed and on the
             clip's name alone, so that subsets of a data set give the same figures.
         progress: called after each clip with its number, the count, name and result.
@@ -195,7 +197,7 @@ def evaluate_tracking(
         reference = make_reference(clip, model)
         robot.reset(reference.qpos[0], reference.start_velocity)
         rng = np.random.default_rng((seed, zlib.crc32(name.encode())))
-        trace, qpos = run_clip(Episode(robot, bundle, noise, rng), reference)
+        trace, qpos = run_clip(Episode(robot, bundle, noise, rng), reference, look)
         wanted = reference.qpos[1 : len(qpos) + 1]
         results[name] = clip_result(clip.info.category, trace, qpos, wanted)
         if progress is not None:

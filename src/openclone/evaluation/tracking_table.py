@@ -39,12 +39,14 @@ class TrackingSetup:
         categories: that were asked for; the table has a row for each.
         left_out: category of each recording that retargeting refused, by name.
         noise: whether the odometry had the error of Eq. 2.
+        look: whether the head's orientation was commanded.
     """
 
     split: str = ""
     categories: tuple[str, ...] = CATEGORIES
     left_out: dict[str, str] = field(default_factory=dict)
     noise: bool = True
+    look: bool = True
 
     def conditions(self, seeds: int) -> str:
         """One line: how the figures were made."""
@@ -54,6 +56,7 @@ class TrackingSetup:
         return (
             f"odometry noise {odometry}, domain randomization off, "
             "commanded: head and hands only"
+            f"{'' if self.look else ', of the head its place alone'}"
         )
 
 
@@ -152,6 +155,7 @@ def figures(report: TrackingReport, setup: TrackingSetup) -> dict[str, object]:
         "odometry_noise": setup.noise,
         "domain_randomization": False,
         "commanded": "head and hands",
+        "head_orientation": setup.look,
         "left_out": setup.left_out,
         "sr_left_out_failed": success_of_all(report, setup),
         "paper": dict(zip(KEYS, PAPER_ROWS[-1][1:], strict=True)),

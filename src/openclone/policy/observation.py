@@ -4,12 +4,15 @@ The training task (torch, batched) and the 50 Hz loop (NumPy, single) call these
 functions. The student's input is the task part followed by the history, newest frame
 first:
 
-    task (51)    position differences p̂ - p      3 x 3, robot's heading frame, metres
+    task (63)    position differences p̂ - p      3 x 3, robot's heading frame, metres
                  target positions p̂              3 x 3, heading frame, relative to the
                                                  target head's ground point
                  target velocities               3 x 3, heading frame
                  current wrist orientations h    2 x 6, heading frame
                  target wrist orientations ĥ     2 x 6, heading frame
+                 current head orientation        6, heading frame
+                 target head orientation         6, heading frame; these two only where
+                                                 `Command.look` is 1, else zeros
     frame (93)   joint positions, joint velocities, root angular velocity, gravity
                  vector, previous action; 25 of them
 """
@@ -20,17 +23,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from openclone.policy.command import HANDS, NUM_POINTS, Command, KeyPoints
+from openclone.policy.command import HANDS, HEAD, NUM_POINTS, Command, KeyPoints
 from openclone.robot import g1
 from openclone.spatial import rotations
 from openclone.spatial.rotations import Array
 
-LAYOUT = "openclone-student-1"
+LAYOUT = "openclone-student-2"
 """Name of the layout above; a bundle made for another one is refused."""
 HISTORY = 25
 """Frames of history H (Appendix C)."""
 FRAME_SIZE = 3 * g1.NUM_JOINTS + 6
-TASK_SIZE = 9 * NUM_POINTS + 2 * 12
+TASK_SIZE = (9 + 12) * NUM_POINTS
 MAX_DIFFERENCE = 1.0
 """Metres; horizontal position differences are clipped to this, per axis."""
 
@@ -86,7 +89,7 @@ def frame(now: Proprioception, previous_action: Array, default_pose: Array) -> A
 
 
 def task(command: Command, measured: KeyPoints, heading: Array) -> Array:
-    """The task part, ``(..., 51)``.
+    """The task part, ``(..., 63)``.
 
     Args:
         command: targets for t + 1, world.
@@ -106,13 +109,20 @@ def task(command: Command, measured: KeyPoints, heading: Array) -> Array:
         rotations.rotate_inverse(turn, target - ground),
         rotations.rotate_inverse(turn, command.velocity) * _VELOCITY_SCALE,
     )
-    back = rotations.conjugate(turn[..., HANDS, :])
-    wrists = (
-        rotations.to_6d(rotations.multiply(back, measured.quat[..., HANDS, :])),
-        rotations.to_6d(rotations.multiply(back, command.target.quat[..., HANDS, :])),
+    back = rotations.conjugate(turn)
+    current, wanted = (
+        rotations.to_6d(rotations.multiply(back, points.quat))
+        for points in (measured, command.target)
     )
-    flat = [part.reshape((*batch, -1)) for part in (*parts, *wrists)]
+    look = xp.ones_like(heading[..., :1]) * _column(command.look)
+    wrists = (current[..., HANDS, :], wanted[..., HANDS, :])
+    head = (look * current[..., HEAD, :], look * wanted[..., HEAD, :])
+    flat = [part.reshape((*batch, -1)) for part in (*parts, *wrists, *head)]
     return xp.concatenate(flat, -1)
+
+
+def _column(values: Array | float) -> Array | float:
+    return values if isinstance(values, float) else values[..., None]
 
 
 class History:
@@ -147,7 +157,7 @@ def student_size(history: int = HISTORY) -> int:
 
 
 def student(task_part: Array, history: History) -> Array:
-    """The whole input, ``(..., 51 + 25 * 93)``."""
+    """The whole input, ``(..., 63 + 25 * 93)``."""
     xp = rotations.namespace(task_part)
     return xp.concatenate((task_part, history.flat()), -1)
 

@@ -92,6 +92,14 @@ def yaw(quat: Array) -> Array:
     return atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
 
 
+def vertical(quat: Array) -> Array:
+    """World coordinates of the z axes of bodies, ``(..., 4) -> (..., 3)``."""
+    xp = namespace(quat)
+    w, x, y, z = (quat[..., k] for k in range(4))
+    parts = (2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y))
+    return xp.stack(parts, -1)
+
+
 def from_yaw(angle: Array) -> Array:
     """Quaternion of a turn by ``angle`` radians about Z, ``(...) -> (..., 4)``."""
     xp = namespace(angle)

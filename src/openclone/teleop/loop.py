@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -290,7 +290,7 @@ class TeleopLoop:
         if phase in (Phase.IDLE, Phase.READY, Phase.DAMPING):
             return None
         if phase is Phase.HOLD and self._command is not None:
-            held = Command(self._command.target, np.zeros((3, 3)))
+            held = replace(self._command, velocity=np.zeros((3, 3)))
             self._command = held
             return held
         assert self._tracker is not None

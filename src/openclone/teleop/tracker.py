@@ -35,6 +35,8 @@ class TrackerConfig:
         anchor_distance: metres; if the operator reappears further away than this, the
             head's target stays where it is and the map is moved instead.
         governor: how fast the targets may move together.
+        look: whether trunk and head follow the way the operator's head is turned, or
+            the operator looks around freely.
     """
 
     position: OneEuroConfig = field(
@@ -49,6 +51,7 @@ class TrackerConfig:
     max_lead_s: float = 0.06
     anchor_distance: float = 0.3
     governor: GovernorConfig = field(default_factory=GovernorConfig)
+    look: bool = True
 
 
 class OperatorTracker:
@@ -122,12 +125,13 @@ class OperatorTracker:
         """
         assert self._targets is not None
         assert self._last is not None
+        look = float(self._config.look)
         if stale:
-            return Command(self._targets, np.zeros((3, 3)))
+            return Command(self._targets, np.zeros((3, 3)), look)
         age = (now_ns - self._last.receive_stamp_ns) * 1e-9
         lead = min(max(age, 0.0) + CONTROL_PERIOD, self._config.max_lead_s)
         position = self._targets.position + lead * self._velocity
-        return Command(KeyPoints(position, self._targets.quat), self._velocity)
+        return Command(KeyPoints(position, self._targets.quat), self._velocity, look)
 
     def _plausible(
         self, frame: OperatorFrame, last: OperatorFrame, period: float
@@ -173,4 +177,4 @@ def blend_commands(start: KeyPoints, command: Command, weight: float) -> Command
     weight = weight * weight * (3.0 - 2.0 * weight)
     position = start.position + weight * (target.position - start.position)
     quat = rotations.slerp(start.quat, target.quat, weight)
-    return Command(KeyPoints(position, quat), weight * command.velocity)
+    return Command(KeyPoints(position, quat), weight * command.velocity, command.look)

@@ -28,7 +28,7 @@ class Demonstrations:
         Args:
             rounds: how many are kept.
             steps: control steps T of a round.
-            inputs: (n, 51 + H * 93), an example of what the students see.
+            inputs: (n, 63 + H * 93), an example of what the students see.
             rng: draws the batches.
         """
         robots, size = inputs.shape
@@ -63,7 +63,7 @@ class Demonstrations:
         """Take in a step; after ``steps`` of them a new round begins.
 
         Args:
-            inputs: (n, 51 + H * 93), what the students saw.
+            inputs: (n, 63 + H * 93), what the students saw.
             labels: (n, 29), the teacher's actions.
             ended: ids of the robots that begin anew after this step.
         """
@@ -88,7 +88,7 @@ class Demonstrations:
         return {"frames": frames, "tasks": tasks, "labels": labels}
 
     def draw(self, count: int) -> tuple[torch.Tensor, torch.Tensor]:
-        """``(count, 51 + H * 93)`` inputs and ``(count, 29)`` labels, evenly drawn."""
+        """``(count, 63 + H * 93)`` inputs and ``(count, 29)`` labels, evenly drawn."""
         filled = min(self._begun, self.rounds) * self.steps * self.robots
         drawn = torch.from_numpy(self._rng.integers(0, filled, count))
         return self._rows(drawn.to(self.device))

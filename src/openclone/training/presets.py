@@ -257,6 +257,7 @@ _PAPER_TASK = replace(
     limits=TerminationLimits(math.inf, math.inf, math.inf, 1.5),
     lead_frames=0,
     preview=(),
+    look_share=0.0,
     guidance="angles",
 )
 _SMOKE_TASK = TaskConfig(num_envs=16, episode_steps=50)

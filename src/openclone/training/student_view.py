@@ -8,7 +8,7 @@ import torch
 from openclone.odometry.faults import OdometryFaults, OdometryFaultsConfig
 from openclone.odometry.noise import OdometryNoise, OdometryNoiseConfig
 from openclone.policy import observation
-from openclone.policy.command import Command, KeyPoints, command_of
+from openclone.policy.command import Command, KeyPoints
 from openclone.policy.constants import Constant
 from openclone.policy.observation import History, Proprioception
 from openclone.robot import g1
@@ -79,10 +79,10 @@ class StudentView:
 
     def command(self) -> Command:
         """Targets for t + 1: the reference's head and hands."""
-        return command_of(self.task.next_reference())
+        return self.task.command()
 
     def observe(self) -> torch.Tensor:
-        """The student's input, ``(n, 2376)``."""
+        """The student's input, ``(n, 2388)``."""
         robot = self.task.robot_state()
         position, quat = key_point_poses(robot.body_position, robot.body_quat)
         measured = KeyPoints(position + self._error, quat)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from openclone.policy.command import command_of
+from openclone.policy.command import Command, command_of
 from openclone.policy.constants import Constant
 from openclone.policy.teacher import (
     LEGS,
@@ -21,6 +21,7 @@ from openclone.policy.teacher import (
 from openclone.robot import g1
 from openclone.robot.model import CONTROL_PERIOD, SensorLayout
 from openclone.robot.state import RobotState, read_state
+from openclone.spatial import rotations
 from openclone.training.births import displace, to_standing
 from openclone.training.feedback import corrections, deviation
 from openclone.training.hardware import on_one_thread
@@ -114,6 +115,7 @@ class TrackingTask:
         # Streams of its own, so that a range of zero leaves all other draws alone.
         stream = np.random.default_rng([seed, 2])
         self._terrain, self._terrain_rng = terrain, np.random.default_rng([seed, 3])
+        self._look_rng = np.random.default_rng([seed, 4])
         self._origin = torch.zeros(n, 1, 3, device=self.device)
         delays = torch.Generator(self.device).manual_seed(seed + 1)
         self._path = ActionPath(config.randomization, n, delays)
@@ -134,6 +136,7 @@ class TrackingTask:
         self._preview = torch.tensor(config.preview, device=self.device)
         self._air_time = torch.zeros(n, 2, device=self.device)
         self._displaced = torch.zeros(n, dtype=torch.bool, device=self.device)
+        self._look = torch.ones(n, device=self.device)
         self._born_age = torch.zeros_like(self.frame)
         self._following: torch.Tensor | None = None
         self._looked_up: RobotState | None = None
@@ -215,8 +218,11 @@ class TrackingTask:
     @on_one_thread
     def command_observation(self) -> torch.Tensor:
         """(n, d): head and hands of the reference, and the robot's true state."""
-        command = command_of(self.next_reference())
-        return command_observation(self._state, command, self.action)
+        return command_observation(self._state, self.command(), self.action)
+
+    def command(self) -> Command:
+        """What the operators of all robots ask for at t + 1."""
+        return command_of(self.next_reference(), self._look)
 
     @on_one_thread
     def reference_observation(self) -> torch.Tensor:
@@ -329,7 +335,8 @@ class TrackingTask:
         robot, reference = tracking.robot, tracking.reference
         too_high = robot.body_position[..., 2] - reference.body_position[..., 2]
         height = too_high[:, torso]
-        up, up_wanted = (_vertical(s.body_quat[:, torso]) for s in (robot, reference))
+        trunks = (state.body_quat[:, torso] for state in (robot, reference))
+        up, up_wanted = map(rotations.vertical, trunks)
         tilt = torch.arccos((up * up_wanted).sum(-1).clamp(-1, 1))
         angle = tracking.angles[:, torso]
         ends = torch.cat([too_high[:, part] for part in _ENDS], 1).abs().amax(-1)
@@ -386,14 +393,8 @@ class TrackingTask:
         self.jump_to(frame)
         away = torch.from_numpy(standing | displaced)
         self._displaced[chosen] = away.to(self.device)
+        look = self._look_rng.random(count) < config.look_share
+        self._look[chosen] = torch.from_numpy(look).to(self._look)
         for counter in (self.age, self._born_age, self.action, self._air_time):
             counter[chosen] = 0
         self._read()
-
-
-def _vertical(quat: torch.Tensor) -> torch.Tensor:
-    """World coordinates of the z axes of bodies, ``(n, 4) -> (n, 3)``."""
-    w, x, y, z = quat.unbind(-1)
-    return torch.stack(
-        (2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)), -1
-    )

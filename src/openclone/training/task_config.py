@@ -63,6 +63,8 @@ class TaskConfig:
             velocity follows it at a distance (0.18 s measured); this takes it away.
         preview: control steps ahead at which the teacher also sees the reference; the
             paper's teacher sees the next step alone.
+        look_share: share of episodes in which the head's orientation is commanded;
+            the paper's student (section 3.1) is never told it.
         guidance: what the teacher's action is an offset to.
         view: what the teacher sees of the motion.
         randomization: the other rows of Table A2.
@@ -82,6 +84,7 @@ class TaskConfig:
     push_interval: float = 5.0
     push_speed: float = 0.5
     lead_frames: int = 10
+    look_share: float = 0.7
     guidance: Guidance = "feedforward"
     view: View = "reference"
     preview: tuple[int, ...] = (5, 10, 20, 40)
