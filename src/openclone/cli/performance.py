@@ -34,7 +34,7 @@ class Performance:
 
 
 def load_performance(
-    path: Path, seconds: float | None, look: bool = True
+    path: Path, seconds: float | None, look: bool = False
 ) -> Performance:
     """Read a clip (.npz) or a human recording, which is retargeted for its metrics."""
     from openclone.teleop.loop import LoopConfig

@@ -51,7 +51,7 @@ def teleop(
     odometry: Literal["ground-truth", "lio", "rko"] = "ground-truth",
     world: Literal["flat", "room", "corridor", "hall", "glass", "people"] | None = None,
     noise: bool = True,
-    look: bool = True,
+    look: bool = False,
     seed: int = 0,
     json: Path | None = None,
     record: Path | None = None,

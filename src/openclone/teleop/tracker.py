@@ -35,8 +35,9 @@ class TrackerConfig:
         anchor_distance: metres; if the operator reappears further away than this, the
             head's target stays where it is and the map is moved instead.
         governor: how fast the targets may move together.
-        look: whether trunk and head follow the way the operator's head is turned, or
-            the operator looks around freely.
+        look: trunk and head of the robot turn as the operator's head does. Else one
+            may look around freely: recorded people turn the head against the chest by
+            up to 60 degrees, and the G1 has no neck.
     """
 
     position: OneEuroConfig = field(
@@ -51,7 +52,7 @@ class TrackerConfig:
     max_lead_s: float = 0.06
     anchor_distance: float = 0.3
     governor: GovernorConfig = field(default_factory=GovernorConfig)
-    look: bool = True
+    look: bool = False
 
 
 class OperatorTracker:
