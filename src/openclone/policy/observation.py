@@ -122,7 +122,7 @@ def task(command: Command, measured: KeyPoints, heading: Array) -> Array:
 
 
 def _column(values: Array | float) -> Array | float:
-    return values if isinstance(values, float) else values[..., None]
+    return values if isinstance(values, (int, float)) else values[..., None]
 
 
 class History:
