@@ -1,13 +1,17 @@
 import mujoco
 import numpy as np
+import pytest
 import torch
 
 from openclone.motion.sources.synthetic import generate
 from openclone.policy.teacher import LEGS
 from openclone.robot import g1
 from openclone.robot.model import standing_qpos
+from openclone.training.data import load_reference
+from openclone.training.data import make_task as build_task
 from openclone.training.feedforward import feedforward
 from openclone.training.reference import build_reference, generalized_velocities
+from openclone.training.task_config import TaskConfig
 
 
 def still(frames: int, height: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
@@ -83,6 +87,24 @@ def test_with_guided_arms_the_legs_keep_to_the_default_pose(make_task):
     torch.testing.assert_close(arms[:, LEGS.stop :], ahead[:, LEGS.stop :])
     for other in (pose, ahead):
         assert not torch.allclose(arms, other)
+
+
+def test_arms_and_waist_need_no_ground(model):
+    qpos, qvel = still(5)
+    qvel[:, 6:] = 0.3
+    both = (feedforward(model, qpos, qvel, ground) for ground in (True, False))
+    standing, flying = both
+    np.testing.assert_array_equal(standing[:, 12:], flying[:, 12:])
+    assert np.abs(standing - flying)[:, :12].max() > 0.01
+
+
+def test_guidance_of_the_legs_needs_the_ground():
+    clip = generate("forward", np.random.default_rng(0))
+    flying = load_reference([clip], ground=False)
+    build_task(flying, TaskConfig(num_envs=2, guidance="arms"), 0, 1)
+    with pytest.raises(ValueError, match="needs a reference with `ground`"):
+        build_task(flying, TaskConfig(num_envs=2, guidance="feedforward"), 0, 1)
+    assert load_reference([clip]).grounded
 
 
 def test_every_frame_has_finite_targets_within_the_motors_reach(model):

@@ -61,7 +61,10 @@ def select_clips(
 
 
 def load_reference(
-    clips: list[Clip], hardware: Hardware | None = None, feedback: bool = False
+    clips: list[Clip],
+    hardware: Hardware | None = None,
+    feedback: bool = False,
+    ground: bool = True,
 ) -> ReferenceMotions:
     """Tables of the reference for ``clips``, on the run's device.
 
@@ -69,10 +72,11 @@ def load_reference(
         clips: the motions.
         hardware: device, and the model's file; the CPU by default.
         feedback: with feedback gains, which tasks of that kind need.
+        ground: with what the guidance "feedforward" needs; without, it takes less time.
     """
     hardware = hardware or Hardware()
     model = build_training_model(file=hardware.model)
-    return build_reference(clips, model, feedback).to(hardware.torch_device())
+    return build_reference(clips, model, feedback, ground).to(hardware.torch_device())
 
 
 def make_task(
@@ -90,7 +94,12 @@ def make_task(
         seed: of all randomness, the terrain's shape included.
         threads: that step the robots; by default the process's share of the cores.
         hardware: back-end and device; the cores of this machine by default.
+
+    Raises:
+        ValueError: the guidance needs a reference that knows of the ground.
     """
+    if config.guidance == "feedforward" and not reference.grounded:
+        raise ValueError("the guidance needs a reference with `ground`")
     hardware = hardware or Hardware()
     rng = np.random.default_rng([seed, 4])
     terrain = build_terrain(config.randomization.terrain, rng)

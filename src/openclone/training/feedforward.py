@@ -35,7 +35,7 @@ _LARGEST = g1.MAX_TORQUE / g1.KP
 
 
 def feedforward(
-    model: mujoco.MjModel, qpos: np.ndarray, qvel: np.ndarray
+    model: mujoco.MjModel, qpos: np.ndarray, qvel: np.ndarray, ground: bool = True
 ) -> np.ndarray:
     """Offsets of the joint targets to the joint angles, ``(T, 29)``, radians.
 
@@ -46,6 +46,8 @@ def feedforward(
         model: the robot.
         qpos: (T, 36), one motion at 50 Hz.
         qvel: (T, 35), its smoothed velocities.
+        ground: with the forces on the soles, which take most of the time and change
+            the legs alone; without them the legs' offsets are those of free flight.
     """
     data = mujoco.MjData(model)
     acceleration = np.gradient(qvel, CONTROL_PERIOD, axis=0) if len(qvel) > 1 else qvel
@@ -59,7 +61,9 @@ def feedforward(
             data.qpos[:], data.qvel[:] = qpos[index], qvel[index]
             data.qacc[:] = acceleration[index]
             mujoco.mj_inverse(model, data)
-            torque = data.qfrc_inverse - _contact_torque(model, data, feet)
+            torque = data.qfrc_inverse
+            if ground:
+                torque = torque - _contact_torque(model, data, feet)
             offsets[index] = (torque[6:] + g1.KD * qvel[index, 6:]) / g1.KP
     finally:
         model.opt.disableflags = disabled

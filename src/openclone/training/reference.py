@@ -45,6 +45,7 @@ class ReferenceMotions:
     Attributes:
         qpos, qvel: (F, 36) and (F, 35), MuJoCo coordinates, on the host.
         feedforward: (F, 29), radians, of `training.feedforward`.
+        grounded: the legs' part of it knows of the ground.
         feedback: (F, 29, 71), half precision, of `training.feedback`; on request.
         frames: the robot's state in every frame, tensors (F, ...), views of ``table``;
             torque and foot force are zero.
@@ -59,6 +60,7 @@ class ReferenceMotions:
     qpos: np.ndarray
     qvel: np.ndarray
     feedforward: torch.Tensor
+    grounded: bool
     frames: RobotState
     table: torch.Tensor
     clip: torch.Tensor
@@ -145,7 +147,10 @@ def _distinct(names: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def build_reference(
-    clips: list[Clip], model: mujoco.MjModel, feedback: bool = False
+    clips: list[Clip],
+    model: mujoco.MjModel,
+    feedback: bool = False,
+    ground: bool = True,
 ) -> ReferenceMotions:
     """Resample ``clips`` to 50 Hz and compute the motion of the key bodies.
 
@@ -154,8 +159,10 @@ def build_reference(
         model: the robot on flat ground.
         feedback: also compute gains, about four milliseconds per frame on two cores,
             kept in the user's cache.
+        ground: with the legs' part of `feedforward`, which takes most of the time;
+            gains need it too.
     """
-    layout = SensorLayout.of(model)
+    layout, ground = SensorLayout.of(model), ground or feedback
     qpos_parts, qvel_parts, sensor_parts, lengths = [], [], [], []
     offset_parts = []
     for clip in clips:
@@ -166,7 +173,7 @@ def build_reference(
         sensors[:, layout.foot_force] = 0.0
         qpos_parts.append(qpos)
         qvel_parts.append(qvel)
-        offset_parts.append(feedforward(model, qpos, qvel))
+        offset_parts.append(feedforward(model, qpos, qvel, ground))
         sensor_parts.append(sensors)
         lengths.append(len(qpos))
 
@@ -185,6 +192,7 @@ def build_reference(
         qpos=np.concatenate(qpos_parts),
         qvel=np.concatenate(qvel_parts),
         feedforward=tensor(offset_parts),
+        grounded=ground,
         frames=_as_state(table),
         table=table,
         clip=torch.tensor(clip_index),

@@ -89,7 +89,10 @@ class StudentTrainer:
         self.seed = team().own_seed(seed)
         self.threads, self.hardware = threads, hardware or Hardware()
         self.data_hash = clip_hash(chosen)
-        self.reference: ReferenceMotions = load_reference(chosen, self.hardware)
+        guidances = (preset.task.guidance, preset.tuning_task.guidance)
+        self.reference: ReferenceMotions = load_reference(
+            chosen, self.hardware, ground="feedforward" in guidances
+        )
         self.student = StudentModel(
             preset.network, preset.ppo.initial_std, preset.history
         ).to(self.reference.device)

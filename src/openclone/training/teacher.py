@@ -101,7 +101,12 @@ class TeacherTrainer:
         self.preset = preset
         self.data_hash = clip_hash(chosen)
         self.task = make_task(
-            load_reference(chosen, hardware, preset.imitation is not None),
+            load_reference(
+                chosen,
+                hardware,
+                feedback=preset.imitation is not None,
+                ground=preset.task.guidance == "feedforward",
+            ),
             preset.task,
             seed,
             threads,
