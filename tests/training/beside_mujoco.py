@@ -122,3 +122,35 @@ def check_same_task(threaded, other, layout, reference, randomization):
     assert float(rewards.abs().max()) > 0.01
     torch.testing.assert_close(found, rewards, atol=1e-3, rtol=0)
     torch.testing.assert_close(found_seen, seen, atol=2e-2, rtol=0)
+
+
+def check_copies_do_alike(physics):
+    """Copies move as their source does, and keep their bodies when it gets another."""
+    robots, last = np.arange(physics.num_envs), physics.num_envs - 1
+    rng = np.random.default_rng(3)
+
+    def rebuild(ids, config):
+        bodies = draw_parameters(config, len(ids), physics.links, rng)
+        physics.randomize(ids, bodies)
+
+    def step():
+        still = torch.from_numpy(np.tile(g1.DEFAULT_POSE, (len(robots), SUBSTEPS, 1)))
+        for _ in range(5):
+            physics.step(still)
+        return physics.read()
+
+    rebuild(robots, TABLE_A2)
+    physics.reset(robots, *births(len(robots)))
+    before = step()
+    sources = np.where(robots == last, last, 0)
+    physics.copy(sources)
+    for old, new in zip(before, physics.read(), strict=True):
+        torch.testing.assert_close(new, old[sources])
+    for part in step():
+        torch.testing.assert_close(part[:last], part[:1].expand(last, -1))
+        assert (part[last] - part[0]).abs().max() > 1e-3
+    rebuild(robots[:1], RandomizationConfig(link_mass=(2.0, 2.0)))
+    qpos = step()[0]
+    assert (qpos[0] - qpos[1]).abs().max() > 1e-4
+    torch.testing.assert_close(qpos[1:last], qpos[1:2].expand(last - 1, -1))
+    rebuild(robots, RandomizationConfig())

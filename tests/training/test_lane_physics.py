@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 from beside_mujoco import (
+    check_copies_do_alike,
     check_reset_leaves_others_alone,
     check_row_acts_alike,
     check_same_task,
@@ -64,6 +65,11 @@ def test_training_solves_contacts_as_well_as_with_mujoco(lean):
     off = [np.abs(found - exact).max((1, 2)).mean() for found in (lanes, mujoco_)]
     assert off[0] < 1.5 * off[1] + 1e-4
     assert off[0] < 2e-3
+
+
+@needs_compiler
+def test_copies_do_alike(pair):
+    check_copies_do_alike(pair[1])
 
 
 @needs_compiler

@@ -3,6 +3,7 @@ import copy
 import mujoco
 import numpy as np
 import torch
+from beside_mujoco import check_copies_do_alike
 
 from openclone.robot import g1
 from openclone.robot.model import SUBSTEPS, standing_qpos
@@ -60,3 +61,7 @@ def test_push_adds_root_velocity(model):
     physics.push(np.array([1]), np.array([[0.3, -0.2, 0.0]]))
     np.testing.assert_array_equal(physics.qvel[0, :3], 0)
     np.testing.assert_array_equal(physics.qvel[1, :3], [0.3, -0.2, 0])
+
+
+def test_copies_do_alike(model):
+    check_copies_do_alike(ThreadedPhysics(model, 4, threads=1))

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from beside_mujoco import (
+    check_copies_do_alike,
     check_reset_leaves_others_alone,
     check_row_acts_alike,
     check_same_task,
@@ -39,6 +40,10 @@ def pair(lean):
 
 def test_same_trajectory_for_fifty_steps(pair, lean):
     check_same_trajectory(*pair, SensorLayout.of(lean))
+
+
+def test_copies_do_alike(pair):
+    check_copies_do_alike(pair[1])
 
 
 def test_a_reset_leaves_the_other_robots_alone(pair):

@@ -62,6 +62,12 @@ class GuessErrors:
         self._velocity = scale * _VELOCITY_ERROR
         self._keep = math.exp(-CONTROL_PERIOD / _CORRELATION)
         self._state = self._draw(example.new_empty(count, 3 + len(self._legs)))
+        self._sources: torch.Tensor | None = None
+
+    def copy(self, sources: torch.Tensor) -> None:
+        """From now on the errors of every robot are those of ``sources[robot]``."""
+        self._sources = sources
+        self._state = self._state[sources]
 
     def _draw(self, like: torch.Tensor) -> torch.Tensor:
         return torch.empty_like(like).normal_(generator=self._random)
@@ -69,7 +75,10 @@ class GuessErrors:
     def __call__(self, seen: torch.Tensor) -> torch.Tensor:
         """``seen (n, d)`` with the errors of the next control step."""
         fresh = math.sqrt(1.0 - self._keep**2)
-        self._state = self._keep * self._state + fresh * self._draw(self._state)
+        drawn = self._draw(self._state)
+        if self._sources is not None:
+            drawn = drawn[self._sources]
+        self._state = self._keep * self._state + fresh * drawn
         seen, velocity = seen.clone(), self._velocity * self._state[:, :3]
         for part in _VELOCITIES:
             seen[:, part] += velocity

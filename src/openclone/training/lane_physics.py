@@ -317,6 +317,13 @@ class LanePhysics:
             own = _own(self._robot, self._shared)
             self._robots[robot // _LANES, :_STATE, robot % _LANES] = own
 
+    def copy(self, sources: np.ndarray) -> None:
+        """Give every robot parameters, state and sensors of ``sources[robot]``."""
+        rows = self._robots[sources // _LANES, :, sources % _LANES]
+        robots = np.arange(self.num_envs)
+        self._robots[robots // _LANES, :, robots % _LANES] = rows
+        self._sensors[robots] = self._sensors[sources]
+
     def step(self, ctrl: torch.Tensor) -> None:
         """Advance all robots by ``ctrl (n, substeps, nu)``, joint targets."""
         if len(ctrl) != self.num_envs or ctrl.shape[2] != _JOINTS:

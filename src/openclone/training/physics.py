@@ -102,6 +102,10 @@ class Physics(Protocol):
         """Give the robots ``ids`` the parameters in rows 0 to len(ids) - 1."""
         ...
 
+    def copy(self, sources: np.ndarray) -> None:
+        """Give every robot parameters, state and sensors of ``sources[robot]``."""
+        ...
+
     def step(self, ctrl: torch.Tensor) -> None:
         """Advance all robots by ``ctrl (n, substeps, nu)``, joint targets."""
         ...
@@ -173,11 +177,15 @@ class ThreadedPhysics:
     def randomize(self, ids: np.ndarray, parameters: RobotParameters) -> None:
         """Give the robots ``ids`` the parameters in rows 0 to len(ids) - 1."""
         for row, robot in enumerate(ids):
-            if self._models[robot] is self._nominal:
-                self._models[robot] = copy.copy(self._nominal)
-            apply_parameters(
-                self._models[robot], self._nominal, self._forward, parameters, row
-            )
+            # A new one: another robot may have been given the same.
+            model = self._models[robot] = copy.copy(self._nominal)
+            apply_parameters(model, self._nominal, self._forward, parameters, row)
+
+    def copy(self, sources: np.ndarray) -> None:
+        """Give every robot parameters, state and sensors of ``sources[robot]``."""
+        self._models = [self._models[source] for source in sources]
+        self._state[:] = self._state[sources]
+        self.sensordata = self.sensordata[sources]
 
     def step(self, ctrl: torch.Tensor) -> None:
         """Advance all robots by ``ctrl (n, substeps, nu)``, joint targets."""

@@ -13,6 +13,7 @@ from rsl_rl.models import MLPModel
 from rsl_rl.modules.distribution import GaussianDistribution
 from tensordict import TensorDict
 
+from openclone.errors import InputError
 from openclone.policy.linear import quicken
 from openclone.policy.normalization import Normalization
 from openclone.robot import g1
@@ -22,6 +23,7 @@ from openclone.training.progress import Progress
 from openclone.training.storage import Rollouts
 from openclone.training.tally import Tally
 from openclone.training.task import StepResult, TrackingTask
+from openclone.training.twins import Copying, compared, leaders
 
 
 @dataclass(frozen=True)
@@ -44,6 +46,7 @@ class PpoConfig:
         initial_std: exploration noise at the start, units of action.
         final_std: bound on the noise at the end of the run, approached geometrically
             from ``initial_std``; None: the noise is only learned.
+        twins: robots that begin each roll-out alike (`training.twins`); 1: none do.
         hidden: sizes of the MLPs' hidden layers.
     """
 
@@ -61,6 +64,7 @@ class PpoConfig:
     entropy: float = 0.003
     initial_std: float = 0.5
     final_std: float | None = None
+    twins: int = 1
     hidden: tuple[int, ...] = (384, 256, 128)
 
 
@@ -277,7 +281,19 @@ def collect(
     tally: Tally,
     observations: TensorDict,
 ) -> TensorDict:
-    """Fill the storage with one roll-out; returns the newest observations."""
+    """Fill the storage with one roll-out; returns the newest observations.
+
+    Raises:
+        InputError: the robots cannot form groups of ``config.twins``.
+    """
+    if config.twins > 1:
+        if not isinstance(env, Copying):
+            raise InputError(
+                "robots with odometry of their own cannot be twins",
+                remedy="use `twins=1` in the PPO of a student",
+            )
+        env.copy(leaders(env.num_envs, config.twins).to(env.task.device))
+        observations = env.observe()
     for _ in range(config.steps):
         action = ppo.act(observations)
         result = env.step(action.clamp(-10, 10))
@@ -290,6 +306,11 @@ def collect(
         tally.add(result)
     tally.report(progress)
     ppo.compute_returns(observations)
+    if config.twins > 1:
+        storage = ppo.storage
+        gained = (storage.returns - storage.values)[..., 0]
+        gained = compared(gained, storage.dones[..., 0] > 0, config.twins)
+        storage.advantages = gained[..., None]
     return observations
 
 

@@ -128,6 +128,11 @@ class ActionPath:
         self.delay[ids] = (draws * limits).sum(-1)
         self._history[ids] = joint_angles[:, None]
 
+    def copy(self, sources: torch.Tensor) -> None:
+        """Give every robot the delay and the past of ``sources[robot]``."""
+        for part in (self._history, self.delay, self._softness):
+            part[:] = part[sources]
+
     def __call__(self, targets: torch.Tensor) -> torch.Tensor:
         """What the motors follow: ``(n, substeps, 29)`` for ``targets (n, 29)``."""
         if self._delayed:

@@ -13,7 +13,6 @@ from openclone.policy.constants import Constant
 from openclone.policy.teacher import (
     LEGS,
     command_observation,
-    evenly_spaced,
     legs_observation,
     preview,
     teacher_observation,
@@ -21,7 +20,6 @@ from openclone.policy.teacher import (
 from openclone.robot import g1
 from openclone.robot.model import CONTROL_PERIOD, SensorLayout
 from openclone.robot.state import RobotState, read_state
-from openclone.spatial import rotations
 from openclone.training.births import displace, to_standing
 from openclone.training.feedback import corrections, deviation
 from openclone.training.hardware import on_one_thread
@@ -33,9 +31,9 @@ from openclone.training.rewards import TrackingState
 from openclone.training.starts import StartFrames
 from openclone.training.task_config import Guidance, TaskConfig
 from openclone.training.task_config import TerminationLimits as TerminationLimits
+from openclone.training.termination import lost
 from openclone.training.terrain import Terrain
 
-_ENDS = (evenly_spaced(g1.FEET), evenly_spaced(g1.WRISTS))
 _SETTLING_STEPS = 150
 """Robots born away from the reference get so long to come closer."""
 _FAR = 6.0
@@ -274,7 +272,8 @@ class TrackingTask:
             style=self._style_reward(before),
             period=CONTROL_PERIOD,
         )
-        failed = self._failed(tracking)
+        settling = self._displaced & (self.age < self._born_age + _SETTLING_STEPS)
+        failed = lost(tracking, self.config.limits, settling)
         tracking.terminated[:] = failed
         weights = self.config.weights
         per_second, terms = total_reward(tracking, weights)
@@ -329,31 +328,15 @@ class TrackingTask:
             self.physics.push(ids, kick * self.config.push_speed)
         return torch.from_numpy(chosen).to(self.device)
 
-    def _failed(self, tracking: TrackingState) -> torch.Tensor:
-        """(n,) bool: beyond the termination limits."""
-        limits, torso = self.config.limits, g1.TORSO
-        robot, reference = tracking.robot, tracking.reference
-        too_high = robot.body_position[..., 2] - reference.body_position[..., 2]
-        height = too_high[:, torso]
-        trunks = (state.body_quat[:, torso] for state in (robot, reference))
-        up, up_wanted = map(rotations.vertical, trunks)
-        tilt = torch.arccos((up * up_wanted).sum(-1).clamp(-1, 1))
-        angle = tracking.angles[:, torso]
-        ends = torch.cat([too_high[:, part] for part in _ENDS], 1).abs().amax(-1)
-        distance = tracking.point_offsets.norm(dim=-1).mean(-1)
-        settling = self._displaced & (self.age < self._born_age + _SETTLING_STEPS)
-        strict = (
-            (height.abs() > limits.height)
-            | (angle > limits.angle)
-            | (ends > limits.end_effector)
-            | (distance > limits.distance)
-        )
-        loose = (
-            (height < -2 * limits.height)
-            | (tilt > 1.2)
-            | (distance > limits.distance + 1.5)
-        )
-        return torch.where(settling, loose, strict)
+    def copy(self, sources: torch.Tensor) -> None:
+        """Put every robot where robot ``sources (n,)[robot]`` is, with its past."""
+        self.physics.copy(sources.cpu().numpy())
+        self._path.copy(sources)
+        ages, births = (self.age, self._born_age), (self._displaced, self._look)
+        for part in (*ages, *births, self.action, self._air_time, self._origin):
+            part[:] = part[sources]
+        self.jump_to(self.frame[sources])
+        self._read()
 
     # Resetting -----------------------------------------------------------------------
 

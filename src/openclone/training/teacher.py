@@ -69,6 +69,12 @@ class TeacherEnvironment:
             groups[CRITIC] = self.task.reference_observation()
         return TensorDict(groups, batch_size=[self.num_envs])
 
+    def copy(self, sources: torch.Tensor) -> None:
+        """Put every robot where robot ``sources (n,)[robot]`` is, with its past."""
+        self.task.copy(sources)
+        if self._errors is not None:
+            self._errors.copy(sources)
+
     def step(self, action: torch.Tensor) -> StepResult:
         """Joint targets = what the task's guidance gives + scale x action."""
         return self.task.step(self.task.residual_to_target(action))

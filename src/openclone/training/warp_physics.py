@@ -120,6 +120,13 @@ class WarpPhysics:
             field = self._fields[name]
             field[index] = torch.from_numpy(np.stack(values)).to(field)
 
+    def copy(self, sources: np.ndarray) -> None:
+        """Give every robot parameters, state and sensors of ``sources[robot]``."""
+        index = self._index(sources)
+        state = (self.qpos, self.qvel, self._warmstart, self.sensordata)
+        for part in (*state, *self._fields.values()):
+            part.copy_(part[index])
+
     def step(self, ctrl: torch.Tensor) -> None:
         """Advance all robots by ``ctrl (n, substeps, nu)``, joint targets."""
         substeps = ctrl.shape[1]
