@@ -24,8 +24,9 @@ $(STAMP): pyproject.toml constraints.txt
 demo: install
 	$(VENV)/bin/openclone demo $(if $(VIEW),--view)
 
+# Two files at a time, which two cores just manage.
 test: install
-	$(VENV)/bin/pytest $(COVERAGE) --cov-report=term --cov-fail-under=85
+	$(VENV)/bin/pytest -n 2 --dist loadfile $(COVERAGE) --cov-report=term --cov-fail-under=85
 
 lint: install
 	$(VENV)/bin/ruff check
