@@ -17,7 +17,7 @@ from openclone.training.teacher import (
     TeacherTrainer,
     train_teacher,
 )
-from openclone.training.twins import compared, leaders
+from openclone.training.twins import bounded, compared, leaders
 
 COMMAND = {"view": "command", "guidance": "arms"}
 
@@ -35,20 +35,24 @@ def test_what_twins_share_is_taken_away():
     own = torch.tensor([[0.1, -0.2], [0.3, 0.2], [-0.1, 0.1]])
     advantages = torch.cat((shared + own, shared - own), 1)
     gained = compared(advantages, torch.zeros(3, 4, dtype=torch.bool), 2)
-    wanted = torch.cat((own, -own), 1)
-    bound = (2 * wanted).std()
-    wanted = (2 * wanted).clamp(-bound, bound)
-    torch.testing.assert_close(gained, wanted / wanted.std(), rtol=1e-4, atol=1e-4)
+    torch.testing.assert_close(gained, 2 * torch.cat((own, -own), 1))
 
 
 def test_whose_episode_ended_is_no_twin_any_more():
     advantages = torch.tensor([[1.0, 3.0, 5.0], [2.0, 4.0, 9.0], [0.5, 0.2, 0.9]])
     done = torch.zeros(3, 3, dtype=torch.bool)
     done[1, 0] = True  # the step itself still counts
-    raw = torch.tensor([[-3.0, 0.0, 3.0], [-4.5, -1.5, 6.0], [0.5, -0.7, 0.7]])
-    bounded = raw.clamp(-raw.std(), raw.std())
-    wanted = (bounded - bounded.mean()) / bounded.std()
+    wanted = torch.tensor([[-3.0, 0.0, 3.0], [-4.5, -1.5, 6.0], [0.5, -0.7, 0.7]])
     torch.testing.assert_close(compared(advantages, done, 3), wanted)
+
+
+def test_no_advantage_outweighs_all_others():
+    advantages = torch.tensor([-90.0, -1.0, 0.0, 1.0])
+    found = bounded(advantages)
+    torch.testing.assert_close(found.mean(), torch.tensor(0.0), atol=1e-6, rtol=0)
+    torch.testing.assert_close(found.std(), torch.tensor(1.0))
+    below = advantages.clamp(min=-float(advantages.std()))
+    torch.testing.assert_close(found, (below - below.mean()) / below.std())
 
 
 def test_a_baseline_of_others_adds_no_bias():
@@ -57,7 +61,7 @@ def test_a_baseline_of_others_adds_no_bias():
     noise = torch.randn(50, 4000, generator=generator)
     luck = 10.0 * torch.randn(50, 1000, generator=generator).repeat(1, 4)
     advantages = luck + 0.5 * noise
-    gained = compared(advantages, torch.zeros(50, 4000, dtype=torch.bool), 4)
+    gained = bounded(compared(advantages, torch.zeros(50, 4000) > 0, 4))
     plain = (advantages - advantages.mean()) / advantages.std()
     credit, before = (gained * noise).mean(0), (plain * noise).mean(0)
     assert float(credit.mean()) > 10 * float(before.mean()) > 0.0
@@ -102,7 +106,7 @@ def test_every_roll_out_begins_with_twins(make_task, tmp_path):
     first = storage.observations[GROUP][0]
     torch.testing.assert_close(first[2:], first[:2])
     raw = (storage.returns - storage.values)[..., 0]
-    wanted = compared(raw, storage.dones[..., 0] > 0, 2)
+    wanted = bounded(compared(raw, storage.dones[..., 0] > 0, 2))
     torch.testing.assert_close(storage.advantages[..., 0], wanted)
 
 

@@ -23,7 +23,7 @@ from openclone.training.progress import Progress
 from openclone.training.storage import Rollouts
 from openclone.training.tally import Tally
 from openclone.training.task import StepResult, TrackingTask
-from openclone.training.twins import Copying, compared, leaders
+from openclone.training.twins import Copying, bounded, compared, leaders
 
 
 @dataclass(frozen=True)
@@ -310,7 +310,7 @@ def collect(
         storage = ppo.storage
         gained = (storage.returns - storage.values)[..., 0]
         gained = compared(gained, storage.dones[..., 0] > 0, config.twins)
-        storage.advantages = gained[..., None]
+        storage.advantages = bounded(gained)[..., None]
     return observations
 
 

@@ -45,7 +45,7 @@ def leaders(count: int, size: int) -> torch.Tensor:
 
 
 def compared(advantages: torch.Tensor, done: torch.Tensor, size: int) -> torch.Tensor:
-    """Advantages against the group's others, then bounded and normalized.
+    """Advantages beyond those of the group's others.
 
     Args:
         advantages: (T, n), not normalized; robots in the order of `leaders`.
@@ -53,8 +53,8 @@ def compared(advantages: torch.Tensor, done: torch.Tensor, size: int) -> torch.T
         size: of the groups.
 
     Returns:
-        (T, n), mean 0 and standard deviation 1. After an end in its group a robot's
-        advantage stands as it was, or against those that are left.
+        (T, n). After its end a robot's advantage stands as it was, and the others are
+        compared with those that are left.
     """
     steps, count = advantages.shape
     groups = advantages.view(steps, size, count // size)
@@ -62,7 +62,11 @@ def compared(advantages: torch.Tensor, done: torch.Tensor, size: int) -> torch.T
     alike = (ended == 0).to(groups)
     others = alike.sum(1, keepdim=True) - alike
     total = (groups * alike).sum(1, keepdim=True) - groups * alike
-    gained = (groups - alike * total / others.clamp(min=1)).view(steps, count)
-    bound = _BOUND * gained.std()
-    gained = gained.clamp(-bound, bound)
-    return (gained - gained.mean()) / (gained.std() + 1e-8)
+    return (groups - alike * total / others.clamp(min=1)).view(steps, count)
+
+
+def bounded(advantages: torch.Tensor) -> torch.Tensor:
+    """The same within `_BOUND`, then with mean 0 and standard deviation 1."""
+    bound = _BOUND * advantages.std()
+    advantages = advantages.clamp(-bound, bound)
+    return (advantages - advantages.mean()) / (advantages.std() + 1e-8)
