@@ -292,7 +292,7 @@ def collect(
                 "robots with odometry of their own cannot be twins",
                 remedy="use `twins=1` in the PPO of a student",
             )
-        env.copy(leaders(env.num_envs, config.twins).to(env.task.device))
+        env.copy(leaders(env.num_envs, config.twins, env.task.device))
         observations = env.observe()
     for _ in range(config.steps):
         action = ppo.act(observations)

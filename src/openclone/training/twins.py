@@ -30,7 +30,7 @@ class Copying(Protocol):
         ...
 
 
-def leaders(count: int, size: int) -> torch.Tensor:
+def leaders(count: int, size: int, device: torch.device | None = None) -> torch.Tensor:
     """``(count,)``: for each robot the one that its group of ``size`` begins like.
 
     Raises:
@@ -41,7 +41,7 @@ def leaders(count: int, size: int) -> torch.Tensor:
             f"{count} robots cannot form groups of {size} twins",
             remedy="use a number of robots that is a multiple of `twins`, 2 or more",
         )
-    return torch.arange(count // size).repeat(size)
+    return torch.arange(count // size, device=device).repeat(size)
 
 
 def compared(advantages: torch.Tensor, done: torch.Tensor, size: int) -> torch.Tensor:
