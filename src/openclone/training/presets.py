@@ -114,7 +114,7 @@ _QUICKSTART_TASK = TaskConfig(
 # Much noise at first: with little, a step within the KL budget is tiny.
 _FAST_PPO = PpoConfig(
     steps=16,
-    epochs=1,
+    epochs=2,
     minibatches=4,
     slowest=1e-5,
     kl=0.04,
@@ -122,17 +122,10 @@ _FAST_PPO = PpoConfig(
     entropy=0.0,
     initial_std=0.25,
     final_std=0.065,
-    twins=4,
     hidden=(512, 256, 128),
 )
 _QUICKSTART_PPO = replace(
-    _FAST_PPO,
-    steps=24,
-    epochs=2,
-    initial_std=0.5,
-    final_std=0.1,
-    twins=1,
-    hidden=(256, 128, 64),
+    _FAST_PPO, steps=24, initial_std=0.5, final_std=0.1, hidden=(256, 128, 64)
 )
 
 
@@ -273,7 +266,7 @@ _SMOKE_TASK = TaskConfig(num_envs=16, episode_steps=50)
 _SMOKE_PPO = PpoConfig(steps=4, epochs=1, minibatches=1, hidden=(32, 32))
 _SMOKE_AMP = AmpConfig(hidden=(32, 16), replay=1000, batch=64, updates=1)
 
-_TEACHER = TeacherPreset(guess_errors=1.0)
+_TEACHER = TeacherPreset(guess_errors=1.0, ppo=replace(_FAST_PPO, epochs=1, twins=4))
 TEACHERS = {
     "fast": _TEACHER,
     "fast-amp": replace(
