@@ -19,7 +19,7 @@ from importlib.resources import files
 from pathlib import Path
 
 import torch
-from rsl_rl.modules.distribution import GaussianDistribution
+from rsl_rl.algorithms import PPO
 
 from openclone.motion.sources.synthetic import default_set
 from openclone.training.ppo import collect
@@ -56,9 +56,6 @@ def explored(
     trainer = TeacherTrainer(default_set(0, minutes), preset, 0, None)
     trainer.begin(teacher)
     ppo = trainer.ppo
-    noise = ppo.get_policy().distribution
-    assert isinstance(noise, GaussianDistribution)
-    noise.log_std_param.data.fill_(math.log(std))
     env = TeacherEnvironment(trainer.task, preset.guess_errors, 0)
     seen, variances, gradients = env.observe(), [], []
     with tempfile.TemporaryDirectory() as folder:
@@ -87,7 +84,7 @@ def explored(
     }
 
 
-def gradient(ppo, advantages: torch.Tensor, std: float) -> torch.Tensor:  # noqa: ANN001
+def gradient(ppo: PPO, advantages: torch.Tensor, std: float) -> torch.Tensor:
     """The policy gradient of one roll-out, all parameters in a row."""
     storage = ppo.storage
     seen = storage.observations.flatten(0, 1).clone()

@@ -2,17 +2,22 @@
 
 import numpy as np
 import pytest
+import torch
 
 from openclone.motion.clip import Clip, ClipInfo, clip_from_qpos
 from openclone.robot import g1
 from openclone.robot.model import SensorLayout, build_model, standing_qpos
 from openclone.training import student as student_module
 from openclone.training.physics import ThreadedPhysics
+from openclone.training.ppo import PpoConfig, build_ppo, collect, mlp_model
 from openclone.training.presets import STUDENTS, TEACHERS
+from openclone.training.progress import Budget, Progress
 from openclone.training.reference import build_reference
+from openclone.training.storage import Rollouts
 from openclone.training.student import train_student
+from openclone.training.tally import Tally
 from openclone.training.task import TaskConfig, TrackingTask
-from openclone.training.teacher import train_teacher
+from openclone.training.teacher import GROUP, TeacherEnvironment, train_teacher
 
 
 def swaying(name: str = "sway", seconds: float = 3.0, category: str = "stand") -> Clip:
@@ -50,6 +55,24 @@ def make_task(model, reference):
         return TrackingTask(reference, physics, SensorLayout.of(model), config, 0)
 
     return make
+
+
+@pytest.fixture
+def explore(tmp_path):
+    """PPO's storage after one roll-out of an untrained teacher."""
+
+    def explored(env: TeacherEnvironment, config: PpoConfig) -> Rollouts:
+        torch.manual_seed(0)
+        observations = env.observe()
+        actor = mlp_model(observations, GROUP, g1.NUM_JOINTS, config)
+        critic = mlp_model(observations, GROUP, 1, config)
+        ppo = build_ppo(observations, actor, critic, config)
+        progress = Progress(tmp_path, Budget(1.0))
+        collect(env, ppo, config, progress, Tally(env.task), observations)
+        progress.close()
+        return ppo.storage
+
+    return explored
 
 
 @pytest.fixture(scope="session")

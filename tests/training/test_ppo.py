@@ -10,33 +10,22 @@ from tensordict import TensorDict
 from openclone.training.ppo import (
     PpoConfig,
     build_ppo,
-    collect,
     mlp_model,
     resume_ppo,
 )
-from openclone.training.progress import Budget, Progress
-from openclone.training.tally import Tally
 from openclone.training.teacher import GROUP, TeacherEnvironment
 
 CONFIG = PpoConfig(steps=5, hidden=(16,), initial_std=0.05)
 
 
 @pytest.fixture
-def roll_out(make_task, tmp_path):
-    """PPO's storage after one roll-out of an untrained teacher."""
+def roll_out(make_task, explore):
+    """PPO's storage after one roll-out from the birth of all robots, and the task."""
 
     def run(**settings):
-        torch.manual_seed(0)
         env = TeacherEnvironment(make_task(6, failure_share=0.0, **settings))
         env.task.age[:] = 0
-        observations = env.observe()
-        actor = mlp_model(observations, GROUP, 29, CONFIG)
-        critic = mlp_model(observations, GROUP, 1, CONFIG)
-        ppo = build_ppo(observations, actor, critic, CONFIG)
-        progress = Progress(tmp_path, Budget(1.0))
-        collect(env, ppo, CONFIG, progress, Tally(env.task), observations)
-        progress.close()
-        return ppo.storage, env.task
+        return explore(env, CONFIG), env.task
 
     return run
 

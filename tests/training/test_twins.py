@@ -6,11 +6,9 @@ import pytest
 import torch
 
 from openclone.errors import InputError
-from openclone.training.ppo import PpoConfig, build_ppo, collect, mlp_model
+from openclone.training.ppo import PpoConfig
 from openclone.training.presets import TEACHERS
-from openclone.training.progress import Budget, Progress
 from openclone.training.randomization import TABLE_A2
-from openclone.training.tally import Tally
 from openclone.training.teacher import (
     GROUP,
     TeacherEnvironment,
@@ -87,22 +85,10 @@ def test_twins_do_alike(make_task):
     assert not torch.allclose(*env.observe()[GROUP][[0, 2]].unbind())
 
 
-def roll_out(env, config, folder):
-    torch.manual_seed(0)
-    observations = env.observe()
-    actor = mlp_model(observations, GROUP, 29, config)
-    critic = mlp_model(observations, GROUP, 1, config)
-    ppo = build_ppo(observations, actor, critic, config)
-    progress = Progress(folder, Budget(1.0))
-    collect(env, ppo, config, progress, Tally(env.task), observations)
-    progress.close()
-    return ppo.storage
-
-
-def test_every_roll_out_begins_with_twins(make_task, tmp_path):
+def test_every_roll_out_begins_with_twins(make_task, explore):
     config = PpoConfig(steps=3, hidden=(16,), twins=2)
     env = TeacherEnvironment(make_task(4, push_speed=0.0))
-    storage = roll_out(env, config, tmp_path)
+    storage = explore(env, config)
     first = storage.observations[GROUP][0]
     torch.testing.assert_close(first[2:], first[:2])
     raw = (storage.returns - storage.values)[..., 0]
@@ -110,7 +96,7 @@ def test_every_roll_out_begins_with_twins(make_task, tmp_path):
     torch.testing.assert_close(storage.advantages[..., 0], wanted)
 
 
-def test_robots_that_cannot_be_copied_are_no_twins(make_task, tmp_path):
+def test_robots_that_cannot_be_copied_are_no_twins(make_task, explore):
     class Odometers:
         def __init__(self, env):
             self.num_envs, self.task = env.num_envs, env.task
@@ -118,7 +104,7 @@ def test_robots_that_cannot_be_copied_are_no_twins(make_task, tmp_path):
 
     env = Odometers(TeacherEnvironment(make_task(4)))
     with pytest.raises(InputError, match="cannot be twins"):
-        roll_out(env, PpoConfig(steps=2, hidden=(8,), twins=2), tmp_path)
+        explore(env, PpoConfig(steps=2, hidden=(8,), twins=2))
 
 
 def test_a_teacher_learns_among_twins(make_clip, tmp_path):

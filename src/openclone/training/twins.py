@@ -66,7 +66,10 @@ def compared(advantages: torch.Tensor, done: torch.Tensor, size: int) -> torch.T
 
 
 def bounded(advantages: torch.Tensor) -> torch.Tensor:
-    """The same within `_BOUND`, then with mean 0 and standard deviation 1."""
+    """The same within `_BOUND`, then with mean 0 and standard deviation 1, ``(T, n)``.
+
+    Unlike the comparison this is not free of bias: falls count for less than they cost.
+    """
     bound = _BOUND * advantages.std()
     advantages = advantages.clamp(-bound, bound)
     return (advantages - advantages.mean()) / (advantages.std() + 1e-8)
