@@ -174,4 +174,4 @@ def test_teacher_and_student_share_one_team(clip_file, tmp_path):
     script.write_text(_BOTH)
     torchrun(script, clip_file, tmp_path)
     assert load_checkpoint(tmp_path / "teacher" / "teacher.pt")["iterations"] == 3
-    assert load_checkpoint(tmp_path / "student.pt")["phase"] == "ppo"
+    assert load_checkpoint(tmp_path / "student.pt")["phase"] == "tuning"

@@ -62,7 +62,14 @@ def test_command_prints_and_writes_the_plan(tmp_path, capsys):
     path = tmp_path / "plan.json"
     learning.train_plan(preset="smoke", seconds=0.05, threads=1, json=path)
     text = capsys.readouterr().out
-    for word in ("teacher", "student, DAgger", "student, PPO", "steps/s", "MB", "all"):
+    for word in (
+        "teacher",
+        "student, DAgger",
+        "student, value gradients",
+        "steps/s",
+        "MB",
+        "all",
+    ):
         assert word in text
     figures = json.loads(path.read_text())
     teacher, dagger, tuning = figures["phases"]

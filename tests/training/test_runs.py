@@ -192,10 +192,11 @@ def test_student_goes_on_in_either_phase(trained, make_clip, tmp_path, no_export
     # Two gradient steps a round.
     assert content["optimizer"]["state"][0]["step"] == 6
     phase, iterations, steps, _ = go_on(iterations=3, tuning_iterations=1)
-    assert (phase, iterations, steps) == ("ppo", 1, 256)
+    # One roll-out more, from which the world model alone learns.
+    assert (phase, iterations, steps) == ("tuning", 1, 320)
     phase, iterations, steps, content = go_on(iterations=3, tuning_iterations=3)
-    assert (phase, iterations, steps) == ("ppo", 3, 384)
-    assert content["amp"]["optimizer"]["state"][0]["step"] == 3
+    assert (phase, iterations, steps) == ("tuning", 3, 512)
+    assert content["tuner"]["world"]["optimizer"]["state"][0]["step"] == 5
 
 
 # Seeds and faults --------------------------------------------------------------------
@@ -352,12 +353,12 @@ def test_one_command_trains_teacher_and_student(
     learning.train_student(preset="smoke", out=tmp_path, threads=1)
     teacher = load_checkpoint(tmp_path / "teacher" / "teacher.pt")
     assert teacher["iterations"] == 3
-    assert load_checkpoint(tmp_path / "student.pt")["phase"] == "ppo"
+    assert load_checkpoint(tmp_path / "student.pt")["phase"] == "tuning"
     assert "first the teacher" in capsys.readouterr().out
     # Interrupted before the student began: go on with it.
     (tmp_path / "student.pt").unlink()
     learning.train_student(preset="smoke", out=tmp_path, resume=True, threads=1)
-    assert load_checkpoint(tmp_path / "student.pt")["phase"] == "ppo"
+    assert load_checkpoint(tmp_path / "student.pt")["phase"] == "tuning"
 
 
 def test_quickstart_takes_less_than_forty_minutes_by_its_settings():

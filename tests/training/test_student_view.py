@@ -10,6 +10,7 @@ from openclone.policy.controller import StudentController
 from openclone.policy.observation import Proprioception
 from openclone.robot import g1
 from openclone.robot.state import key_point_poses
+from openclone.spatial import rotations
 from openclone.training.student_view import StudentView
 
 QUIET = OdometryNoiseConfig(c_vel=1e9, c_min=0.0)
@@ -49,11 +50,11 @@ def test_training_and_loop_agree(make_task):
             float(command.look[0]),
         )
         base = state.body_quat[0, g1.ROOT].double().numpy()
-        turn = view._proprioception()
+        spin = state.body_angular_velocity[0, g1.ROOT].double().numpy()
         now = Proprioception(
             joint_angles=state.joint_angles[0].double().numpy(),
             joint_velocities=state.joint_velocities[0].double().numpy(),
-            angular_velocity_b=turn.angular_velocity_b[0].double().numpy(),
+            angular_velocity_b=rotations.rotate_inverse(base, spin),
             base_quat=base,
         )
         points = key_point_poses(
@@ -78,7 +79,7 @@ def test_odometry_error_shifts_all_points_alike(make_task):
     loud = OdometryNoiseConfig(c_vel=1.0, c_min=0.5, max_error=0.1, reset_period=1e9)
     view = StudentView(task, 25, loud, np.random.default_rng(0))
     before = view.observe()[:, :9].reshape(3, 3, 3)
-    view._error[:] = torch.tensor([0.0, 0.0, 0.05])
+    view.error[:] = torch.tensor([0.0, 0.0, 0.05])
     after = view.observe()[:, :9].reshape(3, 3, 3)
     shift = torch.zeros(3, 3, 3)
     shift[..., 2] = -0.05

@@ -182,7 +182,7 @@ def train_student(
     device: str = "cpu",
     model: Path | None = None,
 ) -> None:
-    """Train the student from a teacher: DAgger, then PPO if wanted; exports a bundle.
+    """Train the student (DAgger, then value gradients if wanted); exports a bundle.
 
     Args:
         preset: fast, quickstart, real-odometry, paper, smoke or an ablation.
@@ -190,7 +190,7 @@ def train_student(
         motions: as for the teacher.
         out: folder for checkpoint, bundle and event files.
         minutes: wall time of DAgger instead of the preset's.
-        tuning_minutes: wall time of PPO instead of the preset's; 0 for none.
+        tuning_minutes: wall time of value gradients instead of the preset's; 0: none.
         categories: motion categories instead of the preset's, e.g. forward,turn.
         resume: go on from the checkpoint in the folder.
         start: begin with the student of this checkpoint or bundle, with a fresh budget.

@@ -32,6 +32,8 @@ def namespace(array: Array) -> ModuleType:
 def norm(vector: Array) -> Array:
     """Euclidean length over the last axis, kept: ``(..., n) -> (..., 1)``."""
     xp = namespace(vector)
+    if xp is not np:  # its gradient at zero is zero, that of the root is not a number
+        return xp.linalg.vector_norm(vector, dim=-1, keepdim=True)
     return xp.sqrt((vector * vector).sum(-1)[..., None])
 
 

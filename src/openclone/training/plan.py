@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from rsl_rl.algorithms import PPO
+from tensordict import TensorDict
 from torch import nn
 
 from openclone.motion.clip import Clip, ClipInfo, clip_from_qpos
@@ -28,7 +29,6 @@ from openclone.training.imitation import Imitation, ImitationConfig
 from openclone.training.ppo import (
     PpoConfig,
     PpoEnvironment,
-    build_ppo,
     learn,
     mlp_model,
 )
@@ -40,11 +40,12 @@ from openclone.training.presets import (
 from openclone.training.progress import Budget, Progress
 from openclone.training.reference import generalized_velocities
 from openclone.training.regulator import DEVIATION_SIZE, Motion, regulate
-from openclone.training.student import StudentEnvironment, StudentTrainer
+from openclone.training.student import StudentTrainer
 from openclone.training.task_config import TaskConfig
 from openclone.training.teacher import GROUP as TEACHER
 from openclone.training.teacher import TeacherEnvironment, TeacherTrainer
 from openclone.training.terrain import build_training_model
+from openclone.training.value_gradient import Tuner
 
 MEASURED_ROBOTS = 256
 """At most so many robots take part in the measurement."""
@@ -156,7 +157,7 @@ def _plan_imitation(
 def plan_student(
     preset: StudentPreset, seconds: float, motion_minutes: float, threads: int | None
 ) -> list[PhasePlan]:
-    """Measure DAgger and, if the preset has it, PPO on the student."""
+    """Measure DAgger and, if the preset has them, value gradients."""
     small = replace(
         preset, task=_measured(preset.task), tuning_task=_measured(preset.tuning_task)
     )
@@ -165,7 +166,7 @@ def plan_student(
         data = _data_bytes(motion_minutes)
         plans = [_plan_dagger(trainer, preset, seconds, data, Path(folder))]
         if preset.tuning_minutes > 0:
-            plans.append(_plan_tuning(trainer, preset, seconds, data))
+            plans.append(_plan_tuning(trainer, preset, seconds, data, Path(folder)))
     return plans
 
 
@@ -191,18 +192,28 @@ def _plan_dagger(
 
 
 def _plan_tuning(
-    trainer: StudentTrainer, preset: StudentPreset, seconds: float, data: float
+    trainer: StudentTrainer,
+    preset: StudentPreset,
+    seconds: float,
+    data: float,
+    folder: Path,
 ) -> PhasePlan:
-    config = preset.ppo
-    env = StudentEnvironment(trainer.view(trainer.preset.tuning_task))
-    trainer.student.freeze_routing()
-    critic = mlp_model(env.observe(), "critic", 1, PpoConfig())
-    ppo = build_ppo(env.observe(), trainer.student, critic, config)
-    rate = _ppo_rate(env, ppo, config, seconds)
-    robots = preset.tuning_task.num_envs
-    memory = _ppo_bytes(ppo, config, robots) + _robot_bytes(preset.tuning_task) + data
+    config, robots = preset.tuning, preset.tuning_task.num_envs
+    view = trainer.view(trainer.preset.tuning_task)
+    privileged = view.task.reference_observation()
+    seen = TensorDict({"critic": privileged}, batch_size=[view.task.num_envs])
+    critic = mlp_model(seen, "critic", 1, PpoConfig())
+    ready = replace(config, warm_up=0)
+    tuner = Tuner(view, trainer.student, critic, ready, 0, folder)
+    rate = _rate(tuner.round, seconds)
+    # What gradients need on their way back: inputs and hidden layers of all networks.
+    each = 4 * view.observe().shape[1] + 8 * config.width + privileged.shape[1] + 10_000
+    memory = 4.0 * each * robots * config.steps + 4.0 * 165 * config.kept
+    memory += _network_bytes(trainer.student) + _robot_bytes(preset.tuning_task) + data
     bounds = Budget(preset.tuning_minutes, preset.tuning_iterations)
-    return _phase("student, PPO", robots, config.steps, rate, bounds, memory)
+    return _phase(
+        "student, value gradients", robots, config.steps, rate, bounds, memory
+    )
 
 
 def waving() -> Clip:

@@ -24,6 +24,7 @@ from openclone.training.task_config import (
     TaskConfig,
     TerminationLimits,
 )
+from openclone.training.value_gradient import ValueGradientConfig
 
 _WALKING = ("stand", "forward", "turn")
 
@@ -195,29 +196,20 @@ _STUDENT_TASK = TaskConfig(
     standing_share=0.08,
     recorded_weight=2.0,
 )
-_TUNING_TASK = TaskConfig(
-    view="command",
-    guidance="arms",
-    limits=TerminationLimits(0.35, 1.2, 0.6, 1.2),
-    displaced_share=0.1,
-    born_distance=0.6,
-    standing_share=0.1,
-    failure_share=0.85,
-)
-_TUNING_PPO = PpoConfig(
-    kl=0.02, learning_rate=1e-4, initial_std=0.15, entropy=0.0, epochs=3
+_TUNING_TASK = replace(
+    _STUDENT_TASK, push_interval=12.0, recorded_weight=5.0, look_share=0.7
 )
 
 
 @dataclass(frozen=True)
 class StudentPreset:
-    """Settings of one student run: DAgger, then PPO on the student itself.
+    """Settings of one student run: DAgger, then value gradients.
 
     Attributes:
         minutes: wall time of DAgger.
         iterations: rounds of DAgger, if they end it instead.
-        tuning_minutes: wall time of PPO afterwards; 0 for none.
-        tuning_iterations: PPO iterations, if they end it instead.
+        tuning_minutes: wall time of value gradients afterwards; 0 for none.
+        tuning_iterations: their steps, if they end it instead.
         teacher: name of the teacher preset to train first when no teacher is given;
             empty: a teacher must be given.
         data: see there.
@@ -226,9 +218,8 @@ class StudentPreset:
         noise: Eq. 2.
         faults: what else is wrong with the odometry.
         task: settings during DAgger.
-        tuning_task: settings during PPO.
-        distillation, ppo: see there.
-        amp: the style reward during PPO; None for none.
+        tuning_task: settings during value gradients.
+        distillation, tuning: see there.
     """
 
     minutes: float = 20.0
@@ -244,8 +235,7 @@ class StudentPreset:
     task: TaskConfig = _STUDENT_TASK
     tuning_task: TaskConfig = _TUNING_TASK
     distillation: DistillationConfig = field(default_factory=DistillationConfig)
-    ppo: PpoConfig = _TUNING_PPO
-    amp: AmpConfig | None = None
+    tuning: ValueGradientConfig = field(default_factory=ValueGradientConfig)
 
     def select(self, clips: list[Clip]) -> list[Clip]:
         """The training motions among ``clips``."""
@@ -367,10 +357,17 @@ STUDENTS = {
         teacher="smoke",
         network=MoeConfig(width=16),
         task=_SMOKE_TASK,
-        tuning_task=replace(_SMOKE_TASK, weights=replace(FAST, amp=0.5)),
+        tuning_task=_SMOKE_TASK,
         distillation=DistillationConfig(steps=4, updates=2, batch=32),
-        ppo=_SMOKE_PPO,
-        amp=_SMOKE_AMP,
+        tuning=ValueGradientConfig(
+            steps=4,
+            warm_up=1,
+            width=16,
+            world_updates=1,
+            world_batch=32,
+            kept=256,
+            warm_up_updates=2,
+        ),
     ),
 }
 """``mlp`` is the paper's CLONE†, ``other-data`` its CLONE*; ``history-*``, ``layers-1``

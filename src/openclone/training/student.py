@@ -1,4 +1,4 @@
-"""Training the student: DAgger from the teacher, then PPO on its own observation."""
+"""Training the student: DAgger from the teacher, then value gradients."""
 
 from __future__ import annotations
 
@@ -8,13 +8,11 @@ from typing import Any
 
 import numpy as np
 import torch
-from tensordict import TensorDict
 from torch import nn
 
 from openclone.motion.clip import Clip, clip_hash
 from openclone.policy.bundle import g1_info
-from openclone.policy.student import GROUP, StudentModel, export_bundle, import_bundle
-from openclone.training.amp import AmpStyle
+from openclone.policy.student import StudentModel, export_bundle, import_bundle
 from openclone.training.checkpoint import (
     fitting,
     load_checkpoint,
@@ -22,17 +20,16 @@ from openclone.training.checkpoint import (
     trained_so_far,
 )
 from openclone.training.data import load_reference, make_task
-from openclone.training.distillation import Dagger, distill, router_usage
+from openclone.training.distillation import Dagger, distill
 from openclone.training.distributed import joined, team
 from openclone.training.hardware import Hardware, keep_memory
-from openclone.training.ppo import AfterUpdate, build_ppo, learn, resume_ppo
 from openclone.training.presets import StudentPreset
 from openclone.training.progress import Budget, Progress, Trained
 from openclone.training.reference import ReferenceMotions
 from openclone.training.student_view import StudentView
-from openclone.training.task import StepResult, TrackingTask
 from openclone.training.task_config import TaskConfig
 from openclone.training.teacher import CRITIC, load_critic, load_teacher
+from openclone.training.value_gradient import Tuner
 
 CHECKPOINT = "student.pt"
 BUNDLE = "student.onnx"
@@ -42,31 +39,9 @@ _KEPT_MINUTES = 1.9
 _SHOWN = (
     "falls/1000", "error_mm", "reward", "gap", "loss/imitation", "loss/balance",
 )  # fmt: skip
-
-
-class StudentEnvironment:
-    """The task as the student plays it; the critic also sees the privileged state."""
-
-    def __init__(self, view: StudentView) -> None:
-        self.view = view
-        self.num_envs = view.task.num_envs
-
-    @property
-    def task(self) -> TrackingTask:
-        """The robots behind the view."""
-        return self.view.task
-
-    def observe(self) -> TensorDict:
-        """Groups ``student`` and ``critic``."""
-        groups = {
-            GROUP: self.view.observe(),
-            CRITIC: self.view.task.reference_observation(),
-        }
-        return TensorDict(groups, batch_size=[self.num_envs])
-
-    def step(self, action: torch.Tensor) -> StepResult:
-        """Joint targets = default pose + scale x action."""
-        return self.view.step(action)
+_SHOWN_TUNING = (
+    "falls/1000", "error_mm", "reward", "return", "loss/value", "loss/world",
+)  # fmt: skip
 
 
 class StudentTrainer:
@@ -94,7 +69,7 @@ class StudentTrainer:
             chosen, self.hardware, ground="feedforward" in guidances
         )
         self.student = StudentModel(
-            preset.network, preset.ppo.initial_std, preset.history
+            preset.network, preset.tuning.std, preset.history
         ).to(self.reference.device)
         self.trained, self.phase = Trained(), "dagger"
         self._kept_at = 0.0
@@ -203,7 +178,7 @@ def train_student(
         out: folder for checkpoint, bundle, event files and, in ``bundles``, earlier
             bundles by minutes.
         minutes: wall time of DAgger instead of the preset's.
-        tuning_minutes: wall time of PPO instead of the preset's; 0 for none.
+        tuning_minutes: wall time of value gradients instead of the preset's; 0: none.
         resume: go on from the checkpoint in ``out``, time included.
         start: begin with the student of this checkpoint, in its phase, or of this
             bundle, with a fresh budget.
@@ -230,7 +205,7 @@ def train_student(
         if extra > 0:
             if trainer.phase == "dagger":
                 trainer.trained = Trained(steps=trainer.trained.steps)
-            trainer.phase = "ppo"
+            trainer.phase = "tuning"
             _tuning_phase(trainer, teacher, extra, content)
     return out / BUNDLE
 
@@ -280,37 +255,30 @@ def _dagger_phase(
 def _tuning_phase(
     trainer: StudentTrainer, teacher: Path, minutes: float, content: dict[str, Any]
 ) -> None:
-    """PPO on the student; the critic goes on from the teacher's."""
-    preset, student = trainer.preset, trainer.student
-    env = StudentEnvironment(trainer.view(preset.tuning_task))
-    student.freeze_routing()
-    example = env.observe()
-    critic = load_critic(teacher, CRITIC, preset.tuning_task)
-    ppo = build_ppo(example, student, critic, preset.ppo)
-    watchers: list[AfterUpdate] = [lambda now: _watch_routers(student, now)]
-    style: AmpStyle | None = None
-    if preset.amp is not None:
-        style = AmpStyle(trainer.reference, preset.amp, trainer.seed)
-        env.task.style = style
-        watchers.append(lambda _: style.update())
-    if "ppo" in content:
-        resume_ppo(ppo, content["ppo"])
-        if style is not None and content.get("amp"):
-            style.load_state_dict(content["amp"])
+    """Value gradients; the critic goes on from the teacher's."""
+    preset = trainer.preset
+    team().share(trainer.student)
+    tuner = Tuner(
+        trainer.view(preset.tuning_task),
+        trainer.student,
+        load_critic(teacher, CRITIC, preset.tuning_task).to(trainer.reference.device),
+        preset.tuning,
+        trainer.seed,
+        trainer.out,
+    )
+    if "tuner" in content:
+        tuner.load_state_dict(content["tuner"])
     budget = Budget(minutes, preset.tuning_iterations)
     progress = Progress(trainer.out, budget, trainer.trained)
 
     def save() -> None:
-        amp = style.state_dict() if style is not None else {}
-        trainer.save(progress, {"ppo": ppo.save(), "amp": amp})
+        trainer.save(progress, {"tuner": tuner.state_dict()}, tuner.average)
 
     try:
-        learn(env, ppo, preset.ppo, progress, save, tuple(watchers))
+        while not team().agree(progress.finished):
+            tuner.round(progress)
+            if progress.line(30.0, _SHOWN_TUNING):
+                save()
         save()
     finally:
         progress.close()
-
-
-@torch.no_grad()
-def _watch_routers(student: StudentModel, now: TensorDict) -> dict[str, float]:
-    return router_usage(student.with_routing(now[GROUP])[1])

@@ -134,7 +134,7 @@ class TrackingTask:
         self._preview = torch.tensor(config.preview, device=self.device)
         self._air_time = torch.zeros(n, 2, device=self.device)
         self._displaced = torch.zeros(n, dtype=torch.bool, device=self.device)
-        self._look = torch.ones(n, device=self.device)
+        self.look = torch.ones(n, device=self.device)
         self._born_age = torch.zeros_like(self.frame)
         self._following: torch.Tensor | None = None
         self._looked_up: RobotState | None = None
@@ -220,12 +220,18 @@ class TrackingTask:
 
     def command(self) -> Command:
         """What the operators of all robots ask for at t + 1."""
-        return command_of(self.next_reference(), self._look)
+        return command_of(self.next_reference(), self.look)
 
     @on_one_thread
     def reference_observation(self) -> torch.Tensor:
         """(n, d): the privileged observation of section 3.1, and the preview."""
-        following, reference = self.next_frame(), self.next_reference()
+        return self.observe_reference(self._state, self.next_frame(), self.action)
+
+    def observe_reference(
+        self, robot: RobotState, following: torch.Tensor, action: torch.Tensor
+    ) -> torch.Tensor:
+        """The same of any ``robot`` (n, ...) before the frame ``following (n,)``."""
+        reference = self.reference.at(following)
         last = self.reference.last[following]
         ahead = torch.minimum(following + self.config.lead_frames, last)
         torso = self.reference.frames.body_position[:, g1.TORSO]
@@ -234,13 +240,13 @@ class TrackingTask:
         shifted = replace(
             reference, body_position=reference.body_position + lead[:, None]
         )
-        seen = teacher_observation(self._state, shifted, self.action)
+        seen = teacher_observation(robot, shifted, action)
         if not self.config.preview:
             return seen
         moments = torch.minimum(following[:, None] + self._preview, last[:, None])
         later = self.reference.landmarks.index_select(0, moments.flatten())
         later = later.unflatten(0, moments.shape)
-        return torch.cat((seen, preview(self._state, later)), 1)
+        return torch.cat((seen, preview(robot, later)), 1)
 
     # Stepping ------------------------------------------------------------------------
 
@@ -332,7 +338,7 @@ class TrackingTask:
         """Put every robot where robot ``sources (n,)[robot]`` is, with its past."""
         self.physics.copy(sources.cpu().numpy())
         self._path.copy(sources)
-        ages, births = (self.age, self._born_age), (self._displaced, self._look)
+        ages, births = (self.age, self._born_age), (self._displaced, self.look)
         for part in (*ages, *births, self.action, self._air_time, self._origin):
             part[:] = part[sources]
         self.jump_to(self.frame[sources])
@@ -377,7 +383,7 @@ class TrackingTask:
         away = torch.from_numpy(standing | displaced)
         self._displaced[chosen] = away.to(self.device)
         look = self._look_rng.random(count) < config.look_share
-        self._look[chosen] = torch.from_numpy(look).to(self._look)
+        self.look[chosen] = torch.from_numpy(look).to(self.look)
         for counter in (self.age, self._born_age, self.action, self._air_time):
             counter[chosen] = 0
         self._read()
