@@ -197,7 +197,7 @@ _STUDENT_TASK = TaskConfig(
     recorded_weight=2.0,
 )
 _TUNING_TASK = replace(
-    _STUDENT_TASK, push_interval=12.0, recorded_weight=5.0, look_share=0.7
+    _STUDENT_TASK, push_interval=8.0, recorded_weight=5.0, look_share=0.7
 )
 
 

@@ -65,7 +65,7 @@ class ValueGradientConfig:
     final_rate: float = 1.2e-5
     momentum: float = 0.9
     average: float = 0.97
-    bound: float = 30.0
+    bound: float = 100.0
     discount: float = 0.99
     trace: float = 0.95
     critic_rate: float = 3e-4
