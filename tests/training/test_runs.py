@@ -59,7 +59,8 @@ def test_the_bundle_runs_and_says_what_it_is(trained, make_clip, tmp_path):
     )
     bundle = load_bundle(path)
     assert bundle.act(np.zeros((2, 2388))).shape == (2, 29)
-    assert f"ppo, {2 * STEPS} steps" in bundle.info.training
+    # One roll-out more, the warm-up.
+    assert f"tuning, {2 * STEPS + 64} steps" in bundle.info.training
     assert len(bundle.info.data_hash) == 64
 
 
@@ -196,7 +197,8 @@ def test_student_goes_on_in_either_phase(trained, make_clip, tmp_path, no_export
     assert (phase, iterations, steps) == ("tuning", 1, 320)
     phase, iterations, steps, content = go_on(iterations=3, tuning_iterations=3)
     assert (phase, iterations, steps) == ("tuning", 3, 512)
-    assert content["tuner"]["world"]["optimizer"]["state"][0]["step"] == 5
+    # Two steps in the warm-up of each run, one after every other roll-out.
+    assert content["tuner"]["world"]["optimizer"]["state"][0]["step"] == 7
 
 
 # Seeds and faults --------------------------------------------------------------------
