@@ -21,7 +21,7 @@ WIDTH = 16
 
 def student(path, seed, width=WIDTH, history=observation.HISTORY):
     torch.manual_seed(seed)
-    model = StudentModel(MoeConfig(width=width), 0.1, history)
+    model = StudentModel(MoeConfig(width=width), history)
     with torch.no_grad():
         model.network.head.weight.normal_()
     seen = torch.randn(64, observation.student_size(history)) * (2 + seed) + seed

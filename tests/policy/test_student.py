@@ -18,7 +18,7 @@ from openclone.robot import g1
 @pytest.fixture(scope="module")
 def exported(tmp_path_factory):
     torch.manual_seed(0)
-    model = StudentModel(MoeConfig(width=32), 0.1, observation.HISTORY)
+    model = StudentModel(MoeConfig(width=32), observation.HISTORY)
     with torch.no_grad():
         model.mlp.head.weight.normal_()
     model.obs_normalizer.update(torch.randn(64, observation.student_size()) * 2 + 1)
@@ -40,7 +40,7 @@ def test_onnx_equals_torch(exported):
 def test_a_bundle_can_be_trained_on(exported):
     model, path = exported
     torch.manual_seed(1)
-    again = StudentModel(MoeConfig(width=32), 0.1, observation.HISTORY)
+    again = StudentModel(MoeConfig(width=32), observation.HISTORY)
     import_bundle(again, path)
     inputs = torch.randn(7, observation.student_size()) * 3
     with torch.no_grad():
@@ -51,9 +51,9 @@ def test_a_bundle_can_be_trained_on(exported):
         torch.testing.assert_close(
             again.eval().mean_action(inputs), before, rtol=0, atol=1e-2
         )
-    import_bundle(StudentModel(MoeConfig(), 0.1, 25), packaged_bundle())
+    import_bundle(StudentModel(MoeConfig(), 25), packaged_bundle())
     with pytest.raises(RuntimeError, match="size mismatch"):
-        import_bundle(StudentModel(MoeConfig(width=16), 0.1, 25), path)
+        import_bundle(StudentModel(MoeConfig(width=16), 25), path)
 
 
 @pytest.mark.parametrize(
@@ -62,7 +62,7 @@ def test_a_bundle_can_be_trained_on(exported):
 )
 def test_other_networks_and_histories_run_in_the_loop(network, history, tmp_path):
     torch.manual_seed(0)
-    model = StudentModel(network, 0.1, history)
+    model = StudentModel(network, history)
     with torch.no_grad():
         model.network.head.weight.normal_()
     path = tmp_path / "ablation.onnx"

@@ -129,7 +129,7 @@ def test_start_explores_as_the_preset_says(trained, make_clip, tmp_path):
 
 def test_a_student_starts_from_a_bundle(trained, make_clip, tmp_path, monkeypatch):
     bundle = tmp_path / "given.onnx"
-    model = student_module.StudentModel(STUDENT.network, 0.1, STUDENT.history)
+    model = student_module.StudentModel(STUDENT.network, STUDENT.history)
     student_module.export_bundle(model, g1_info("s", "", "", STUDENT.history), bundle)
     monkeypatch.setattr(student_module, "export_bundle", lambda *_: None)
     still = replace(STUDENT, iterations=0, tuning_minutes=0.0)

@@ -96,17 +96,6 @@ def test_every_roll_out_begins_with_twins(make_task, explore):
     torch.testing.assert_close(storage.advantages[..., 0], wanted)
 
 
-def test_robots_that_cannot_be_copied_are_no_twins(make_task, explore):
-    class Odometers:
-        def __init__(self, env):
-            self.num_envs, self.task = env.num_envs, env.task
-            self.observe, self.step = env.observe, env.step
-
-    env = Odometers(TeacherEnvironment(make_task(4)))
-    with pytest.raises(InputError, match="cannot be twins"):
-        explore(env, PpoConfig(steps=2, hidden=(8,), twins=2))
-
-
 def test_a_teacher_learns_among_twins(make_clip, tmp_path):
     smoke = TEACHERS["smoke"]
     preset = replace(smoke, ppo=replace(smoke.ppo, twins=4), amp=None)

@@ -61,7 +61,7 @@ def make_tuner(make_task, folder, config=CONFIG, num_envs=4, **settings):
     noise, rng = OdometryNoiseConfig(), np.random.default_rng(0)
     view = StudentView(task, 5, noise, rng)
     torch.manual_seed(0)
-    student = StudentModel(MoeConfig(width=16), 0.1, 5)
+    student = StudentModel(MoeConfig(width=16), 5)
     example = {"critic": task.reference_observation()}
     critic = mlp_model(
         TensorDict(example, batch_size=[num_envs]), "critic", 1, PpoConfig(hidden=(16,))
@@ -219,7 +219,7 @@ def test_the_gain_is_the_discounted_return(make_task, tmp_path):
     window = rolled(tuner)
     window.cut[:] = False
     window.cut[2, 1] = True
-    values = tuner._value(window.privileged.flatten(0, 1)).view(7, 4).detach()
+    values = tuner.value(window.privileged.flatten(0, 1)).view(7, 4).detach()
     expected = 0.0
     for robot in range(4):
         weight = 1.0
@@ -238,7 +238,7 @@ def test_the_gain_is_the_discounted_return(make_task, tmp_path):
 def test_returns_stop_at_falls_and_bootstrap_elsewhere(make_task, tmp_path):
     tuner = make_tuner(make_task, tmp_path, push_speed=0.0)
     window = rolled(tuner)
-    tuner._value = lambda seen: torch.full((len(seen),), 10.0)
+    tuner.value = lambda seen: torch.full((len(seen),), 10.0)
     window.reward[:] = 1.0
     for flags in (window.cut, window.ended, window.terminated):
         flags[:] = False

@@ -6,8 +6,6 @@ import copy
 from pathlib import Path
 
 import torch
-from rsl_rl.models import MLPModel
-from tensordict import TensorDict
 from torch import nn
 
 from openclone.policy import observation
@@ -17,38 +15,18 @@ from openclone.policy.moe import MoeConfig, MoeNetwork
 from openclone.policy.normalization import Normalization
 from openclone.robot import g1
 
-GROUP = "student"
-"""Name of the student's observation in a TensorDict."""
 
+class StudentModel(nn.Module):
+    """Normalized observation -> network -> action.
 
-class StudentModel(MLPModel):
-    """Normalized observation -> network -> action mean.
-
-    The network is the paper's Mixture of Experts, or the MLP of its baseline. A model
-    of rsl_rl, so that its PPO can fine-tune what DAgger has taught; the Gaussian's
-    standard deviation is used only there.
+    The network is the paper's Mixture of Experts, or the MLP of its baseline.
     """
 
     mlp: nn.Module
 
-    def __init__(
-        self, network: MoeConfig | MlpConfig, initial_std: float, history: int
-    ) -> None:
+    def __init__(self, network: MoeConfig | MlpConfig, history: int) -> None:
+        super().__init__()
         size = observation.student_size(history)
-        example = TensorDict({GROUP: torch.zeros(1, size)}, batch_size=[1])
-        super().__init__(
-            example,
-            {"actor": [GROUP]},
-            "actor",
-            g1.NUM_JOINTS,
-            hidden_dims=(1,),
-            obs_normalization=True,
-            distribution_cfg={
-                "class_name": "GaussianDistribution",
-                "init_std": initial_std,
-                "std_type": "log",
-            },
-        )
         if isinstance(network, MoeConfig):
             built = MoeNetwork(size, g1.NUM_JOINTS, network)
         else:
@@ -70,15 +48,14 @@ class StudentModel(MLPModel):
         return self.network.with_routing(self.obs_normalizer(observations))
 
     def mean_action(self, observations: torch.Tensor) -> torch.Tensor:
-        """Actions without noise, ``(n, d) -> (n, 29)``."""
+        """Actions ``(n, d) -> (n, 29)``."""
         return self.mlp(self.obs_normalizer(observations))
 
     def freeze_routing(self) -> None:
-        """Keep routers and input normalization as DAgger left them."""
+        """Keep routers as DAgger left them."""
         if isinstance(self.network, MoeNetwork):
             for layer in self.network.layers:
                 layer.router.requires_grad_(False)
-        self.obs_normalization = False
 
 
 class _Exported(nn.Module):

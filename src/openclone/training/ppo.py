@@ -1,4 +1,4 @@
-"""PPO (rsl_rl) on the tracking task: one loop for teacher and student."""
+"""PPO (rsl_rl) on the tracking task."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from rsl_rl.models import MLPModel
 from rsl_rl.modules.distribution import GaussianDistribution
 from tensordict import TensorDict
 
-from openclone.errors import InputError
 from openclone.policy.linear import quicken
 from openclone.policy.normalization import Normalization
 from openclone.robot import g1
@@ -23,7 +22,7 @@ from openclone.training.progress import Progress
 from openclone.training.storage import Rollouts
 from openclone.training.tally import Tally
 from openclone.training.task import StepResult, TrackingTask
-from openclone.training.twins import Copying, bounded, compared, leaders
+from openclone.training.twins import bounded, compared, leaders
 
 
 @dataclass(frozen=True)
@@ -84,6 +83,10 @@ class PpoEnvironment(Protocol):
 
     def step(self, action: torch.Tensor) -> StepResult:
         """Apply ``action (n, 29)`` for one control period."""
+        ...
+
+    def copy(self, sources: torch.Tensor) -> None:
+        """Put every robot where robot ``sources (n,)[robot]`` is, with its past."""
         ...
 
 
@@ -287,11 +290,6 @@ def collect(
         InputError: the robots cannot form groups of ``config.twins``.
     """
     if config.twins > 1:
-        if not isinstance(env, Copying):
-            raise InputError(
-                "robots with odometry of their own cannot be twins",
-                remedy="use `twins=1` in the PPO of a student",
-            )
         env.copy(leaders(env.num_envs, config.twins, env.task.device))
         observations = env.observe()
     for _ in range(config.steps):

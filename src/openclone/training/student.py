@@ -68,9 +68,9 @@ class StudentTrainer:
         self.reference: ReferenceMotions = load_reference(
             chosen, self.hardware, ground="feedforward" in guidances
         )
-        self.student = StudentModel(
-            preset.network, preset.tuning.std, preset.history
-        ).to(self.reference.device)
+        self.student = StudentModel(preset.network, preset.history).to(
+            self.reference.device
+        )
         self.trained, self.phase = Trained(), "dagger"
         self._kept_at = 0.0
 

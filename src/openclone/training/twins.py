@@ -10,8 +10,6 @@ in Kool et al. 2019).
 
 from __future__ import annotations
 
-from typing import Protocol, runtime_checkable
-
 import torch
 
 from openclone.errors import InputError
@@ -19,15 +17,6 @@ from openclone.errors import InputError
 _BOUND = 1.0
 """Standard deviations beyond which advantages count no more: few large ones, mostly of
 falls, would outweigh all others."""
-
-
-@runtime_checkable
-class Copying(Protocol):
-    """An environment whose robots can begin alike."""
-
-    def copy(self, sources: torch.Tensor) -> None:
-        """Put every robot where robot ``sources (n,)[robot]`` is, with its past."""
-        ...
 
 
 def leaders(count: int, size: int, device: torch.device | None = None) -> torch.Tensor:

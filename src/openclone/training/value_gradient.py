@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import copy
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -88,7 +89,7 @@ class Tuner:
         critic: MLPModel,
         config: ValueGradientConfig,
         seed: int,
-        folder: Any,
+        folder: Path,
     ) -> None:
         """Prepare tuning of ``student``; its routers stay as they are.
 
@@ -108,8 +109,8 @@ class Tuner:
         for layer in critic.mlp:
             if isinstance(layer, nn.ELU):
                 layer.inplace = False
-        self._tree = BodyTree(build_training_model(), device)
-        world = WorldModel(self._tree, config.width).to(device)
+        self.tree = BodyTree(build_training_model(), device)
+        world = WorldModel(self.tree, config.width).to(device)
         self.learner = WorldLearner(world, config.kept, config.world_batch, seed)
         self._random = torch.Generator(device).manual_seed(seed)
         self._parameters = [p for p in student.mlp.parameters() if p.requires_grad]
@@ -165,7 +166,8 @@ class Tuner:
             return self.learner.learn(config.warm_up_updates, 2 * config.world_rate)
         return self.learner.learn(config.world_updates, config.world_rate)
 
-    def _value(self, privileged: torch.Tensor) -> torch.Tensor:
+    def value(self, privileged: torch.Tensor) -> torch.Tensor:
+        """What the critic expects, ``(n, d) -> (n,)``."""
         critic = self.critic
         return critic.mlp(critic.obs_normalizer(privileged))[:, 0]
 
@@ -176,7 +178,7 @@ class Tuner:
         order = torch.randperm(len(seen), generator=self._random, device=seen.device)
         parts = order.chunk(4)
         for rows in parts:
-            loss = (self._value(seen[rows]) - wanted[rows]).square().mean()
+            loss = (self.value(seen[rows]) - wanted[rows]).square().mean()
             self._adam.zero_grad()
             loss.backward()
             team().average_gradients(self.critic.mlp)
@@ -190,7 +192,7 @@ class Tuner:
         """TD(λ) returns, ``(T, n)``."""
         config = self.config
         flat = window.privileged.flatten(0, 1)
-        values = self._value(flat).view(window.frame.shape)
+        values = self.value(flat).view(window.frame.shape)
         returns, ahead = torch.empty_like(window.reward), torch.zeros_like(values[0])
         for step in reversed(range(config.steps)):
             cut = window.cut[step]
@@ -251,15 +253,16 @@ class Repetition:
         self._tuner, self._window = tuner, window
         self._task = tuner.view.task
         self._qpos, self._qvel = window.qpos[0], window.qvel[0]
-        self._robot = self._seen(0)
+        self._place(0)
         self._task_action = window.task_action[0]
         self._own_action = window.own_action[0]
         self._history = History(window.history[:, 0], 1)
         self._history.frames = window.history
 
-    def _seen(self, step: int) -> RobotState:
-        moving = self._tuner._tree(self._qpos, self._qvel)
-        return as_sensed(moving, self._window.sensed_at(step))
+    def _place(self, step: int) -> None:
+        """Bodies where they are before ``step``, and as they are sensed."""
+        self._bodies = self._tuner.tree(self._qpos, self._qvel)
+        self._robot = as_sensed(self._bodies, self._window.sensed_at(step))
 
     def gain(self) -> torch.Tensor:
         """Mean return of the robots, bootstrapped by the critic: a scalar.
@@ -289,12 +292,11 @@ class Repetition:
             self._window.frame[step, robots],
             self._task_action[robots],
         )
-        return self._tuner._value(seen)
+        return self._tuner.value(seen)
 
-    def _act(self, step: int) -> torch.Tensor:
+    def _act(self, step: int, reference: RobotState) -> torch.Tensor:
         """What the student did, with the gradients of what it would do."""
         window, student = self._window, self._tuner.student
-        reference = self._task.reference.at(window.frame[step])
         command = command_of(reference, window.look[step])
         seen = student_input(self._robot, command, window.error[step], self._history)
         return window.action[step] + without_value(student.mean_action(seen))
@@ -302,10 +304,13 @@ class Repetition:
     def _step(self, step: int) -> torch.Tensor:
         """Act, and go where the robots went; the rewards, ``(n,)``."""
         window, view, task = self._window, self._tuner.view, self._task
-        own = self._act(step)
+        reference = task.reference.at(window.frame[step])
+        own = self._act(step, reference)
         targets = view.to_target(own)
         action = (targets - window.base[step]) / task.action_scale
-        foreseen = self._tuner.learner.model(self._qpos, self._qvel, targets)
+        foreseen = self._tuner.learner.model(
+            self._qpos, self._qvel, targets, self._bodies
+        )
         live = ~window.cut[step][:, None]
         before, previous = self._qvel, self._task_action
         self._qpos, self._qvel = (
@@ -316,7 +321,7 @@ class Repetition:
         )
         self._task_action = window.task_action[step + 1] + without_value(action) * live
         self._own_action = window.own_action[step + 1] + without_value(own) * live
-        self._robot = self._seen(step + 1)
+        self._place(step + 1)
         frame = sensed_frame(self._robot, self._own_action)
         self._history.push(frame)
         born = torch.nonzero(window.ended[step])[:, 0]
@@ -324,7 +329,7 @@ class Repetition:
         idle = torch.zeros_like(window.cut[step])
         tracking = TrackingState(
             robot=self._robot,
-            reference=task.reference.at(window.frame[step]),
+            reference=reference,
             action=action,
             previous_action=previous,
             previous_velocities=before[:, 6:],

@@ -53,16 +53,6 @@ class Window:
     ended: torch.Tensor
     terminated: torch.Tensor
 
-    def of(self, robots: torch.Tensor) -> Window:
-        """The part of the robots ``robots (k,)``."""
-        parts = {
-            f.name: getattr(self, f.name)[:, robots]
-            for f in fields(self)
-            if f.name not in ("sensed", "history")
-        }
-        sensed = each(self.sensed, lambda part: part[:, robots])
-        return Window(**parts, sensed=sensed, history=self.history[robots])
-
     def sensed_at(self, step: int) -> RobotState:
         """States as sensed before ``step``."""
         return each(self.sensed, lambda part: part[step])
@@ -121,9 +111,9 @@ def roll_out(
             done[name].append(part)
     stacked = {name: torch.stack(parts) for name, parts in {**kept, **done}.items()}
     states = RobotState(
-        *(
-            torch.stack([getattr(state, f.name) for state in sensed])
+        **{
+            f.name: torch.stack([getattr(state, f.name) for state in sensed])
             for f in fields(RobotState)
-        )
+        }
     )
     return Window(**stacked, sensed=states, history=history)

@@ -19,6 +19,7 @@ from openclone.policy.normalization import Normalization
 from openclone.policy.observation import gravity_b
 from openclone.robot import g1
 from openclone.robot.model import CONTROL_PERIOD
+from openclone.robot.state import RobotState
 from openclone.spatial import rotations
 from openclone.training.body_tree import BodyTree, soles
 from openclone.training.distributed import team
@@ -34,10 +35,10 @@ _PARTS = (36, 35, g1.NUM_JOINTS, 36, 35)
 
 
 def _features(
-    tree: BodyTree, qpos: torch.Tensor, qvel: torch.Tensor, targets: torch.Tensor
+    bodies: RobotState, qpos: torch.Tensor, qvel: torch.Tensor, targets: torch.Tensor
 ) -> torch.Tensor:
     """What decides how a robot moves on, ``(n, d)``."""
-    corners, moves = soles(tree(qpos, qvel))
+    corners, moves = soles(bodies)
     turn, height = qpos[:, 3:7], corners[..., 2]
     vectors = torch.cat((qvel[:, None, :3], moves), 1)
     seen = rotations.rotate_inverse(
@@ -112,7 +113,9 @@ class WorldModel(nn.Module):
         self._tree = tree
         example = torch.zeros(1, 36, device=tree.device)
         example[:, 3] = 1.0
-        size = _features(tree, example, example[:, :35], example[:, 7:]).shape[1]
+        size = _features(
+            tree(example, example[:, :35]), example, example[:, :35], example[:, 7:]
+        ).shape[1]
         self.normalization = Normalization(size)
         layers: list[nn.Module] = []
         inputs = size
@@ -125,16 +128,29 @@ class WorldModel(nn.Module):
         self.eval()
 
     def _scaled(
-        self, qpos: torch.Tensor, qvel: torch.Tensor, targets: torch.Tensor
+        self,
+        qpos: torch.Tensor,
+        qvel: torch.Tensor,
+        targets: torch.Tensor,
+        bodies: RobotState | None = None,
     ) -> torch.Tensor:
-        seen = self.normalization(_features(self._tree, qpos, qvel, targets))
+        bodies = bodies or self._tree(qpos, qvel)
+        seen = self.normalization(_features(bodies, qpos, qvel, targets))
         return self.deep(seen) + self.direct(seen)
 
     def forward(
-        self, qpos: torch.Tensor, qvel: torch.Tensor, targets: torch.Tensor
+        self,
+        qpos: torch.Tensor,
+        qvel: torch.Tensor,
+        targets: torch.Tensor,
+        bodies: RobotState | None = None,
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """``qpos (n, 36)`` and ``qvel (n, 35)`` after a step to ``targets (n, 29)``."""
-        return _advance(qpos, qvel, self.scale * self._scaled(qpos, qvel, targets))
+        """``qpos (n, 36)`` and ``qvel (n, 35)`` after a step to ``targets (n, 29)``.
+
+        ``bodies`` are those of the tree before the step, if they are known.
+        """
+        change = self.scale * self._scaled(qpos, qvel, targets, bodies)
+        return _advance(qpos, qvel, change)
 
     def errors(self, transitions: torch.Tensor) -> torch.Tensor:
         """(n, 70): errors of the foreseen changes, in their standard deviations."""
@@ -146,7 +162,7 @@ class WorldModel(nn.Module):
     def measure(self, transitions: torch.Tensor) -> None:
         """Learn the spread of what comes in and of what comes out."""
         qpos, qvel, targets, *after = transitions.split(_PARTS, 1)
-        seen = _features(self._tree, qpos, qvel, targets)
+        seen = _features(self._tree(qpos, qvel), qpos, qvel, targets)
         spread = seen.std(0, keepdim=True) + self.normalization.eps
         self.normalization.assume(seen.mean(0, keepdim=True), spread, len(seen))
         self.scale.copy_(_change(qpos, qvel, *after).std(0) + 1e-6)
