@@ -298,18 +298,6 @@ def test_feet_still_asks_for_rest_only_when_the_command_rests(perfect):
     assert float(rewards.feet_still(perfect)) == pytest.approx(0.0, abs=1e-6)
 
 
-def test_feet_should_stay_where_both_of_the_reference_do(perfect):
-    perfect.robot.body_velocity[:] = 0
-    perfect.robot.body_velocity[0, LEFT] = torch.tensor([0.3, 0.0, 0.4])
-    perfect.robot.body_velocity[0, RIGHT] = torch.tensor([2.0, 0.0, 0.0])
-    perfect.reference.body_velocity[:] = 0
-    # 0.5² for the left foot, at most 1 for the right one.
-    assert float(rewards.feet_planted(perfect)) == pytest.approx(1.25, abs=1e-5)
-    perfect.reference.body_velocity[:, RIGHT, 0] = 0.1
-    wanted = 1.25 * math.exp(-1.0)
-    assert float(rewards.feet_planted(perfect)) == pytest.approx(wanted, abs=1e-5)
-
-
 # A state remembers what it has computed: `replace` makes one that has not.
 
 

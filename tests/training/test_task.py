@@ -55,19 +55,6 @@ def test_clip_end_is_a_time_out_not_a_failure(make_task, reference):
     assert not result.terminated.any()
 
 
-def test_robots_that_keep_step_begin_anew_where_a_foot_leaves_its_place(make_task):
-    settings = {"near_share": 0.5, "near_distance": 0.3, **CALM}
-    task = make_task(4, limits=TerminationLimits(9, 9, 9, 9), **settings)
-    task.age[:] = 0
-    for far, expected in ((0.0, [False] * 4), (0.5, [True, True, False, False])):
-        qpos, qvel, _ = task.physics.read()
-        qpos[:, 1] += far
-        task.physics.reset(np.arange(4), qpos.double().numpy(), qvel.double().numpy())
-        result = task.step(task.residual_to_target(torch.zeros(4, 29)))
-        assert result.timed_out.tolist() == expected
-        assert not result.terminated.any()
-
-
 def test_failing_bins_are_drawn_more_often(make_task):
     task = make_task(4, **{**CALM, "failure_share": 1.0})
     task.starts.failures[:] = 0.0

@@ -79,7 +79,6 @@ class RewardWeights:
     hand_rotation: float = 0.0
     dof_margin: float = 0.0
     feet_still: float = 0.0
-    feet_planted: float = 0.0
     contact_mismatch: float = 0.0
     airborne: float = 0.0
     widths: RewardWidths = RewardWidths()
@@ -181,7 +180,6 @@ _PLAIN: tuple[Callable[[TrackingState], torch.Tensor], ...] = (
     rewards.hand_rotation,
     rewards.dof_margin,
     rewards.feet_still,
-    rewards.feet_planted,
     rewards.contact_mismatch,
     rewards.airborne,
 )

@@ -317,13 +317,6 @@ def feet_still(s: TrackingState) -> torch.Tensor:
     return rest * (speed + 0.5 * lifted)
 
 
-def feet_planted(s: TrackingState) -> torch.Tensor:
-    """Feet that move while both feet of the reference stay: no steps of one's own."""
-    wanted = _squared(s.reference.body_velocity[:, _FEET]).amax(-1)
-    speed = _squared(s.robot.body_velocity[:, _FEET]).clamp(max=1.0).sum(-1)
-    return torch.exp(-wanted / 0.1**2) * speed
-
-
 def contact_mismatch(s: TrackingState) -> torch.Tensor:
     """Feet that bear load where the reference clearly swings them, or the reverse."""
     height = s.wanted_soles

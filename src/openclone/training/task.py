@@ -31,7 +31,7 @@ from openclone.training.rewards import TrackingState
 from openclone.training.starts import StartFrames
 from openclone.training.task_config import Guidance, TaskConfig
 from openclone.training.task_config import TerminationLimits as TerminationLimits
-from openclone.training.termination import astray, lost
+from openclone.training.termination import lost
 from openclone.training.terrain import Terrain
 
 _SETTLING_STEPS = 150
@@ -135,7 +135,6 @@ class TrackingTask:
         self._air_time = torch.zeros(n, 2, device=self.device)
         self._displaced = torch.zeros(n, dtype=torch.bool, device=self.device)
         self.look = torch.ones(n, device=self.device)
-        self._near = torch.arange(n, device=self.device) < config.near_share * n
         self._born_age = torch.zeros_like(self.frame)
         self._following: torch.Tensor | None = None
         self._looked_up: RobotState | None = None
@@ -292,7 +291,6 @@ class TrackingTask:
         over = (self.age >= self.config.episode_steps) | (
             self.frame >= self.reference.last[self.frame]
         )
-        over |= self._near & ~settling & astray(tracking, self.config.near_distance)
         timed_out = over & ~terminated
         self.starts.count(self.frame, terminated)
         error = (self._state.body_position - reference.body_position).norm(dim=-1)

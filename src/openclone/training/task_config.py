@@ -58,9 +58,6 @@ class TaskConfig:
         standing_share: share of resets in the standing pose at the reference's place.
         push_interval: seconds between pushes on average (Table A2: 5).
         push_speed: m/s, largest horizontal push (Table A2: 1.5).
-        near_share: share of the robots that begin anew as soon as a foot has left its
-            place in the reference. They practise keeping step; the rest recovers.
-        near_distance: metres from its place that a foot of theirs may go.
         lead_frames: control steps by which the place of the observed reference runs
             ahead of the rewarded one. A policy that sees a moving target and its
             velocity follows it at a distance (0.18 s measured); this takes it away.
@@ -86,8 +83,6 @@ class TaskConfig:
     standing_share: float = 0.0
     push_interval: float = 5.0
     push_speed: float = 0.5
-    near_share: float = 0.0
-    near_distance: float = 0.25
     lead_frames: int = 10
     look_share: float = 0.7
     guidance: Guidance = "feedforward"

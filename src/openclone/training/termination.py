@@ -46,11 +46,3 @@ def lost(
         | (distance > limits.distance + 1.5)
     )
     return torch.where(settling, loose, strict)
-
-
-def astray(tracking: TrackingState, distance: float) -> torch.Tensor:
-    """(n,) bool: robots with a foot further than ``distance`` from its place, world."""
-    feet = _ENDS[0]
-    robot, reference = tracking.robot, tracking.reference
-    away = robot.body_position[:, feet] - reference.body_position[:, feet]
-    return away.norm(dim=-1).amax(-1) > distance
