@@ -26,7 +26,8 @@ from openclone.training.ppo import collect
 from openclone.training.presets import TEACHERS, TeacherPreset
 from openclone.training.progress import Budget, Progress
 from openclone.training.tally import Tally
-from openclone.training.teacher import GROUP, TeacherEnvironment, TeacherTrainer
+from openclone.training.teacher import TeacherTrainer
+from openclone.training.teacher_view import GROUP, TeacherEnvironment
 from openclone.training.twins import bounded, compared
 
 SHIPPED = Path(str(files("openclone") / "weights" / "teacher.pt"))

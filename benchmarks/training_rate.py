@@ -45,7 +45,8 @@ from openclone.training.native import compiler
 from openclone.training.ppo import learn
 from openclone.training.presets import TEACHERS
 from openclone.training.progress import Budget, Progress
-from openclone.training.teacher import TeacherEnvironment, TeacherTrainer
+from openclone.training.teacher import TeacherTrainer
+from openclone.training.teacher_view import TeacherEnvironment
 from openclone.training.terrain import build_training_model
 
 Times = np.ndarray

@@ -26,9 +26,11 @@ import torch
 from openclone.motion.sources.synthetic import default_set
 from openclone.robot.model import SUBSTEPS
 from openclone.spatial import rotations
+from openclone.training.pilots import StudentPilot
 from openclone.training.presets import STUDENTS
 from openclone.training.student import StudentTrainer
-from openclone.training.teacher import CRITIC, load_critic
+from openclone.training.teacher import load_critic
+from openclone.training.teacher_view import CRITIC
 from openclone.training.terrain import build_training_model
 from openclone.training.value_gradient import Repetition, Tuner
 from openclone.training.windows import Window
@@ -122,7 +124,7 @@ def derivatives(
 
 def agreement(tuner: Tuner, windows: list[Window]) -> float:
     """Mean cosine of the gradients of two roll-outs."""
-    parameters = [p for p in tuner.student.mlp.parameters() if p.requires_grad]
+    parameters = [p for p in tuner.pilot.network.parameters() if p.requires_grad]
     rows = []
     for window in windows:
         parts = torch.autograd.grad(Repetition(tuner, window).gain(), parameters)
@@ -154,7 +156,8 @@ def main() -> None:
         trainer.begin(WEIGHTS / "student.onnx")
         critic = load_critic(WEIGHTS / "teacher.pt", CRITIC, task)
         view = trainer.view(task)
-        tuner = Tuner(view, trainer.student, critic, preset.tuning, 0, Path(folder))
+        pilot = StudentPilot(view, trainer.student)
+        tuner = Tuner(pilot, critic, preset.tuning, 0, Path(folder))
         act: Callable[[], Window] = tuner.act
         start = time.perf_counter()
         for _ in range(options.roll_outs):

@@ -17,7 +17,8 @@ from openclone.training.storage import Rollouts
 from openclone.training.student import train_student
 from openclone.training.tally import Tally
 from openclone.training.task import TaskConfig, TrackingTask
-from openclone.training.teacher import GROUP, TeacherEnvironment, train_teacher
+from openclone.training.teacher import train_teacher
+from openclone.training.teacher_view import GROUP, TeacherEnvironment
 
 
 def swaying(name: str = "sway", seconds: float = 3.0, category: str = "stand") -> Clip:

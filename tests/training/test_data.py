@@ -11,7 +11,7 @@ from openclone.motion.clip import ClipInfo, clip_from_qpos
 from openclone.robot import g1
 from openclone.robot.model import standing_qpos
 from openclone.training.data import is_recorded, top_speed
-from openclone.training.presets import DataChoice
+from openclone.training.data_choice import DataChoice
 from openclone.training.reference import build_reference
 from openclone.training.starts import StartFrames
 

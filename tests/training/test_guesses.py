@@ -7,7 +7,7 @@ import torch
 
 from openclone.policy.teacher import COMMAND_SIZE, LEGS_SIZE
 from openclone.training.guesses import GuessErrors
-from openclone.training.teacher import CRITIC, GROUP, TeacherEnvironment
+from openclone.training.teacher_view import CRITIC, GROUP, TeacherEnvironment
 
 FULL = COMMAND_SIZE + LEGS_SIZE
 
@@ -22,12 +22,12 @@ def series(scale: float, steps: int = 400) -> torch.Tensor:
 def test_velocity_errors_are_those_of_the_root(make_task):
     """All that moves with the root is wrong by the same, and nothing else is."""
     task = make_task(3, view="command", guidance="pose")
-    before = task.command_observation()
+    before = task.teacher_observation()
     state = task.robot_state()
     task._state = replace(
         state, body_velocity=state.body_velocity + torch.tensor([0.0, 0.0, 0.1])
     )
-    moved = (task.command_observation() - before).abs().amax(0) > 1e-6
+    moved = (task.teacher_observation() - before).abs().amax(0) > 1e-6
     wrong = series(1.0, 1)[0].abs().amax(0) > 0
     (vertical,) = torch.nonzero(moved).T
     assert len(vertical) == 3

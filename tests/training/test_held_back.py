@@ -12,8 +12,8 @@ from openclone.motion.commands import is_command
 from openclone.policy.governor import GovernorConfig
 from openclone.robot.model import standing_qpos
 from openclone.spatial import rotations
+from openclone.training.data_choice import DataChoice
 from openclone.training.held_back import held_back, held_back_clips
-from openclone.training.presets import DataChoice
 
 
 def jog(speed: float, turn: float = 0.0, seconds: float = 2.0) -> Clip:

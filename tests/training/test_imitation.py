@@ -16,7 +16,8 @@ from openclone.training.ppo import PpoConfig, mlp_model
 from openclone.training.presets import TEACHERS
 from openclone.training.progress import Budget, Progress
 from openclone.training.reference import build_reference
-from openclone.training.teacher import GROUP, train_teacher
+from openclone.training.teacher import train_teacher
+from openclone.training.teacher_view import GROUP
 
 KIND = {"view": "legs", "guidance": "arms"}
 LESSON = ImitationConfig(

@@ -54,7 +54,9 @@ def test_scaled_batches_keep_the_work_per_step():
     paper = STUDENTS["paper"]
     scaled = plan._scaled(paper)
     assert scaled.batch / 256 == paper.distillation.batch / 4096
-    assert plan._scaled(STUDENTS["fast"]) == STUDENTS["fast"].distillation
+    fast = STUDENTS["fast"]
+    few = replace(fast, task=replace(fast.task, num_envs=plan.MEASURED_ROBOTS))
+    assert plan._scaled(few) == fast.distillation
 
 
 def test_command_prints_and_writes_the_plan(tmp_path, capsys):

@@ -13,7 +13,7 @@ from openclone.training.ppo import (
     mlp_model,
     resume_ppo,
 )
-from openclone.training.teacher import GROUP, TeacherEnvironment
+from openclone.training.teacher_view import GROUP, TeacherEnvironment
 
 CONFIG = PpoConfig(steps=5, hidden=(16,), initial_std=0.05)
 

@@ -9,12 +9,8 @@ from openclone.errors import InputError
 from openclone.training.ppo import PpoConfig
 from openclone.training.presets import TEACHERS
 from openclone.training.randomization import TABLE_A2
-from openclone.training.teacher import (
-    GROUP,
-    TeacherEnvironment,
-    TeacherTrainer,
-    train_teacher,
-)
+from openclone.training.teacher import TeacherTrainer, train_teacher
+from openclone.training.teacher_view import GROUP, TeacherEnvironment
 from openclone.training.twins import bounded, compared, leaders
 
 COMMAND = {"view": "command", "guidance": "arms"}

@@ -13,16 +13,19 @@ from openclone.errors import InputError
 from openclone.odometry.noise import OdometryNoiseConfig
 from openclone.policy.moe import MoeConfig
 from openclone.policy.student import StudentModel
+from openclone.policy.teacher import COMMAND_SIZE
 from openclone.robot import g1
 from openclone.robot.model import SUBSTEPS, SensorLayout
 from openclone.robot.state import read_state
 from openclone.training.body_tree import BodyTree, as_sensed, soles
 from openclone.training.muon import Muon, orthogonalized
+from openclone.training.pilots import StudentPilot, TeacherPilot
 from openclone.training.ppo import PpoConfig, mlp_model
 from openclone.training.progress import Budget, Progress
 from openclone.training.randomization import RandomizationConfig
 from openclone.training.student_view import StudentView
 from openclone.training.tally import Tally
+from openclone.training.teacher_view import TeacherEnvironment
 from openclone.training.terrain import build_training_model
 from openclone.training.value_gradient import Repetition, Tuner, ValueGradientConfig
 from openclone.training.windows import roll_out
@@ -55,25 +58,37 @@ def tensors(*arrays):
     return tuple(torch.tensor(array, dtype=torch.float32) for array in arrays)
 
 
-def make_tuner(make_task, folder, config=CONFIG, num_envs=4, **settings):
-    settings = {"view": "command", "guidance": "arms", **settings}
-    task = make_task(num_envs, **settings)
+def student_pilot(task):
     noise, rng = OdometryNoiseConfig(), np.random.default_rng(0)
     view = StudentView(task, 5, noise, rng)
+    return StudentPilot(view, StudentModel(MoeConfig(width=16), 5))
+
+
+def network(seen, outputs):
+    example = TensorDict({"seen": seen}, batch_size=[len(seen)])
+    return mlp_model(example, "seen", outputs, PpoConfig(hidden=(16,)))
+
+
+def teacher_pilot(task):
+    guesses = 0.0 if task.config.view == "reference" else 1.0
+    actor = network(task.teacher_observation(), 29)
+    return TeacherPilot(TeacherEnvironment(task, guesses, 0), actor)
+
+
+def make_tuner(
+    make_task, folder, config=CONFIG, num_envs=4, pilot=student_pilot, **settings
+):
+    settings = {"view": "command", "guidance": "arms", **settings}
+    task = make_task(num_envs, **settings)
     torch.manual_seed(0)
-    student = StudentModel(MoeConfig(width=16), 5)
-    example = {"critic": task.reference_observation()}
-    critic = mlp_model(
-        TensorDict(example, batch_size=[num_envs]), "critic", 1, PpoConfig(hidden=(16,))
-    )
-    return Tuner(view, student, critic, config, 0, folder)
+    seen = task.reference_observation()
+    return Tuner(pilot(task), network(seen, 1), config, 0, folder)
 
 
 def rolled(tuner, steps=None):
     random = torch.Generator().manual_seed(0)
-    count = steps or tuner.config.steps
-    tally = Tally(tuner.view.task)
-    return roll_out(tuner.view, tuner.student, count, 0.1, random, tally)
+    count, tally = steps or tuner.config.steps, Tally(tuner.pilot.task)
+    return roll_out(tuner.pilot, count, 0.1, random, tally)
 
 
 # Kinematics --------------------------------------------------------------------------
@@ -194,24 +209,45 @@ def test_orthogonal_steps_move_all_directions_alike():
 # Repetition --------------------------------------------------------------------------
 
 
-def test_a_repetition_sees_and_earns_what_the_robots_did(make_task, tmp_path):
-    tuner = make_tuner(make_task, tmp_path, push_interval=0.2, episode_steps=5)
-    tuner.view.error[:] = 0.05
-    seen, observe = [], tuner.view.observe
-    tuner.view.observe = lambda: seen.append(observe()) or seen[-1]
+SEEN = {
+    "student": (student_pilot, "command"),
+    "teacher": (teacher_pilot, "command"),
+    "teacher, legs": (teacher_pilot, "legs"),
+    "teacher, reference": (teacher_pilot, "reference"),
+}
+
+
+@pytest.mark.parametrize(("pilot", "view"), SEEN.values(), ids=SEEN)
+def test_a_repetition_sees_and_earns_what_the_robots_did(
+    make_task, tmp_path, pilot, view
+):
+    tuner = make_tuner(
+        make_task, tmp_path, pilot=pilot, view=view, push_interval=0.2, episode_steps=5
+    )
+    if pilot is student_pilot:
+        tuner.pilot.view.error[:] = 0.05
+    seen = []
+    tuner.pilot.network.register_forward_pre_hook(lambda _, args: seen.append(args[0]))
     window = rolled(tuner)
     assert window.cut.any()
     assert not window.cut.all()
-    again, answer = [], tuner.student.mean_action
-    tuner.student.mean_action = lambda inputs: again.append(inputs) or answer(inputs)
     repetition = Repetition(tuner, window)
     rewards = torch.stack([repetition._step(step) for step in range(CONFIG.steps)])
-    for wanted, found in zip(seen, again, strict=True):
+    there, again = seen[: CONFIG.steps], seen[CONFIG.steps :]
+    for wanted, found in zip(there, again, strict=True):
         torch.testing.assert_close(found, wanted, atol=2e-5, rtol=1e-5)
     straight = ~window.cut
     torch.testing.assert_close(
         rewards[straight], window.reward[straight], atol=1e-4, rtol=1e-4
     )
+
+
+def test_guesses_of_a_teacher_are_wrong_and_told(make_task, tmp_path):
+    tuner = make_tuner(make_task, tmp_path, pilot=teacher_pilot)
+    error = rolled(tuner).error
+    assert error.shape == (6, 4, COMMAND_SIZE)
+    wrong = error.abs().amax((0, 1)) > 1e-4
+    assert 6 <= wrong.sum() <= 9
 
 
 def test_the_gain_is_the_discounted_return(make_task, tmp_path):
@@ -282,12 +318,15 @@ def test_gradients_are_bounded_robot_by_robot(make_task, tmp_path):
     assert foreseen.grad[:, 0].tolist() == pytest.approx([2.5e-4, 1e-5, 0.0, 0.0])
 
 
-def test_the_gradient_lowers_arms_that_are_held_too_high(make_task, tmp_path):
+@pytest.mark.parametrize("pilot", [student_pilot, teacher_pilot])
+def test_the_gradient_lowers_arms_that_are_held_too_high(make_task, tmp_path, pilot):
     config = replace(CONFIG, warm_up_updates=10, std=0.1, world_rate=1e-3)
-    tuner = make_tuner(make_task, tmp_path, config, num_envs=8, push_speed=0.0)
+    tuner = make_tuner(
+        make_task, tmp_path, config, num_envs=8, pilot=pilot, push_speed=0.0
+    )
     names = ("left_shoulder_pitch_joint", "right_shoulder_pitch_joint")
     shoulders = [g1.joint_index(name) for name in names]
-    bias = tuner.student.mlp.head.bias
+    (bias,) = (p for p in tuner.pilot.network.parameters() if p.shape == (29,))
     for side in (1.5, -1.5):
         with torch.no_grad():
             bias[shoulders] = side
@@ -300,18 +339,18 @@ def test_the_gradient_lowers_arms_that_are_held_too_high(make_task, tmp_path):
         ).all()
 
 
-def test_a_round_moves_student_and_average(make_task, tmp_path):
+def test_a_round_moves_policy_and_average(make_task, tmp_path):
     tuner = make_tuner(make_task, tmp_path, push_speed=0.0)
     progress = Progress(tmp_path, Budget(1.0, 2))
-    before = tuner.student.mlp.head.weight.clone()
+    before = tuner.pilot.network.head.weight.clone()
     for _ in range(CONFIG.warm_up):
         tuner.round(progress)
-    assert torch.equal(tuner.student.mlp.head.weight, before)
+    assert torch.equal(tuner.pilot.network.head.weight, before)
     tuner.round(progress)
     progress.close()
     assert progress.iterations == 1
     assert progress.steps == 3 * 6 * 4
-    step = tuner.student.mlp.head.weight - before
+    step = tuner.pilot.network.head.weight - before
     # Directions of which the gradient knows nothing do not move.
     assert 0.1 * CONFIG.rate < step.square().mean().sqrt() < 1.2 * CONFIG.rate
     averaged = tuner.average.head.weight - before
@@ -322,4 +361,4 @@ def test_uneven_ground_is_refused(make_task, tmp_path):
     uneven = RandomizationConfig(terrain=("flat", "rough"))
     task = SimpleNamespace(config=SimpleNamespace(randomization=uneven))
     with pytest.raises(InputError, match="need flat ground"):
-        Tuner(SimpleNamespace(task=task), None, None, CONFIG, 0, tmp_path)
+        Tuner(SimpleNamespace(task=task), None, CONFIG, 0, tmp_path)

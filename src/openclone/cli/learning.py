@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from openclone.cli.options import (
     category_names,
     load_clips,
+    not_negative,
     positive,
     synthetic_clips,
     write_figures,
@@ -19,9 +20,10 @@ from openclone.errors import InputError
 
 if TYPE_CHECKING:
     from openclone.motion.clip import Clip
+    from openclone.training.data_choice import DataChoice
     from openclone.training.hardware import Hardware
     from openclone.training.plan import PhasePlan
-    from openclone.training.presets import DataChoice, StudentPreset
+    from openclone.training.presets import StudentPreset
 
 _DEFAULT_TEACHER = Path("runs/teacher/teacher.pt")
 
@@ -67,6 +69,7 @@ def train_teacher(
     motions: tuple[Path, ...] = (),
     out: Path = Path("runs/teacher"),
     minutes: float | None = None,
+    tuning_minutes: float | None = None,
     categories: str = "",
     resume: bool = False,
     start: Path | None = None,
@@ -77,18 +80,18 @@ def train_teacher(
     device: str = "cpu",
     model: Path | None = None,
 ) -> None:
-    """Train the privileged teacher with PPO.
+    """Train the privileged teacher with PPO, then value gradients if wanted.
 
     Args:
         preset: fast, fast-amp, quickstart, feedback, other-data, paper or smoke.
         motions: folders of recordings with a manifest.tsv (split train), or of clip
             files; by default synthetic motions.
         out: folder for the checkpoint and the event files.
-        minutes: wall time of PPO instead of the preset's, earlier runs included.
+        minutes: wall time of PPO instead of the preset's, in all; 0: none.
+        tuning_minutes: wall time of value gradients instead of the preset's; 0: none.
         categories: motion categories instead of the preset's, e.g. forward,turn.
         resume: go on from the checkpoint in the folder.
-        start: begin with the networks of this checkpoint, the preset's noise and a
-            fresh budget.
+        start: begin with the networks of this checkpoint and a fresh budget.
         seed: of all randomness.
         threads: CPU threads; all cores by default.
         processes: that train together, each with the preset's robots and its own copy
@@ -104,7 +107,7 @@ def train_teacher(
     from openclone.training import teacher
     from openclone.training.presets import teacher_preset
 
-    positive("--minutes", minutes)
+    _check_minutes(minutes, tuning_minutes)
     settings = teacher_preset(preset)
     settings = replace(settings, data=_narrowed(settings.data, categories))
     path = teacher.train_teacher(
@@ -112,6 +115,7 @@ def train_teacher(
         settings,
         out,
         minutes=minutes,
+        tuning_minutes=tuning_minutes,
         resume=resume,
         start=start,
         seed=seed,
@@ -119,6 +123,11 @@ def train_teacher(
         hardware=_hardware(physics, device, model),
     )
     print(f"teacher: {path}")
+
+
+def _check_minutes(minutes: float | None, tuning_minutes: float | None) -> None:
+    not_negative("--minutes", minutes)
+    not_negative("--tuning-minutes", tuning_minutes)
 
 
 def _again_in(processes: int) -> bool:
@@ -189,7 +198,7 @@ def train_student(
         teacher: checkpoint; runs/teacher/teacher.pt, or quickstart's own, by default.
         motions: as for the teacher.
         out: folder for checkpoint, bundle and event files.
-        minutes: wall time of DAgger instead of the preset's.
+        minutes: wall time of DAgger instead of the preset's; 0: none.
         tuning_minutes: wall time of value gradients instead of the preset's; 0: none.
         categories: motion categories instead of the preset's, e.g. forward,turn.
         resume: go on from the checkpoint in the folder.
@@ -205,7 +214,7 @@ def train_student(
         return
     from openclone.training import distributed, student
 
-    settings = _student_settings(preset, categories, minutes)
+    settings = _student_settings(preset, categories, minutes, tuning_minutes)
     clips, hardware = _training_clips(motions), _hardware(physics, device, model)
     with distributed.joined(hardware.torch_device()):
         if teacher is None:
@@ -226,11 +235,11 @@ def train_student(
 
 
 def _student_settings(
-    preset: str, categories: str, minutes: float | None
+    preset: str, categories: str, minutes: float | None, tuning_minutes: float | None
 ) -> StudentPreset:
     from openclone.training.presets import student_preset
 
-    positive("--minutes", minutes)
+    _check_minutes(minutes, tuning_minutes)
     _hush_exporter()
     settings = student_preset(preset)
     return replace(settings, data=_narrowed(settings.data, categories))

@@ -17,6 +17,12 @@ def positive(option: str, value: float | None) -> None:
         raise InputError(f"{option} is {value:g}", remedy="give a number above 0")
 
 
+def not_negative(option: str, value: float | None) -> None:
+    """Refuse a number below zero; None passes."""
+    if value is not None and not value >= 0:
+        raise InputError(f"{option} is {value:g}", remedy="give a number from 0 on")
+
+
 def category_names(text: str) -> tuple[str, ...] | None:
     """Split ``"a,b"``; None for an empty text, which means all categories."""
     return tuple(filter(None, text.replace(" ", "").split(","))) or None

@@ -21,7 +21,7 @@ from openclone.training.presets import DistillationConfig
 from openclone.training.progress import Progress
 from openclone.training.student_view import StudentView
 from openclone.training.tally import Tally
-from openclone.training.teacher import GROUP as TEACHER
+from openclone.training.teacher_view import GROUP as TEACHER
 
 
 def router_usage(routing: list[torch.Tensor]) -> dict[str, float]:

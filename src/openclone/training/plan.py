@@ -26,6 +26,7 @@ from openclone.robot.model import SUBSTEPS, build_model, standing_qpos
 from openclone.training.demonstrations import round_bytes
 from openclone.training.distillation import Dagger, distill
 from openclone.training.imitation import Imitation, ImitationConfig
+from openclone.training.pilots import Pilot, StudentPilot
 from openclone.training.ppo import (
     PpoConfig,
     PpoEnvironment,
@@ -42,8 +43,9 @@ from openclone.training.reference import generalized_velocities
 from openclone.training.regulator import DEVIATION_SIZE, Motion, regulate
 from openclone.training.student import StudentTrainer
 from openclone.training.task_config import TaskConfig
-from openclone.training.teacher import GROUP as TEACHER
-from openclone.training.teacher import TeacherEnvironment, TeacherTrainer
+from openclone.training.teacher import TeacherTrainer
+from openclone.training.teacher_view import CRITIC, TeacherEnvironment
+from openclone.training.teacher_view import GROUP as TEACHER
 from openclone.training.terrain import build_training_model
 from openclone.training.value_gradient import Tuner
 
@@ -64,7 +66,8 @@ class PhasePlan:
     """The cost of one phase.
 
     Attributes:
-        phase: feedback gains; copy or PPO of the teacher; DAgger or PPO of the student.
+        phase: feedback gains; copy or PPO of the teacher; DAgger of the student; value
+            gradients of either.
         robots: simulated together.
         steps_per_s: control steps per second, measured; of gains, frames.
         steps: control steps in all.
@@ -105,7 +108,9 @@ def plan_teacher(
     preset: TeacherPreset, seconds: float, motion_minutes: float, threads: int | None
 ) -> list[PhasePlan]:
     """Measure each phase for ``seconds``; data of ``motion_minutes``."""
-    small = replace(preset, task=_measured(preset.task))
+    small = replace(
+        preset, task=_measured(preset.task), tuning_task=_measured(preset.tuning_task)
+    )
     trainer = TeacherTrainer([waving()], small, 0, threads)
     held = _data_bytes(motion_minutes, preset.imitation is not None)
     held += _robot_bytes(preset.task)
@@ -121,6 +126,10 @@ def plan_teacher(
         memory += 4 * preset.amp.replay * 80 + _network_bytes(trainer.style.net)
     bounds = Budget(preset.minutes, preset.iterations)
     plans.append(_phase("teacher, PPO", robots, config.steps, rate, bounds, memory))
+    if preset.tuning_minutes > 0:
+        pilot = trainer.pilot()
+        inputs = pilot.task.teacher_observation().shape[1]
+        plans.append(_plan_tuning("teacher", pilot, preset, inputs, seconds, held))
     return plans
 
 
@@ -166,7 +175,9 @@ def plan_student(
         data = _data_bytes(motion_minutes)
         plans = [_plan_dagger(trainer, preset, seconds, data, Path(folder))]
         if preset.tuning_minutes > 0:
-            plans.append(_plan_tuning(trainer, preset, seconds, data, Path(folder)))
+            view = trainer.view(small.tuning_task)
+            pilot, inputs = StudentPilot(view, trainer.student), view.observe().shape[1]
+            plans.append(_plan_tuning("student", pilot, preset, inputs, seconds, data))
     return plans
 
 
@@ -192,28 +203,28 @@ def _plan_dagger(
 
 
 def _plan_tuning(
-    trainer: StudentTrainer,
-    preset: StudentPreset,
+    who: str,
+    pilot: Pilot,
+    preset: StudentPreset | TeacherPreset,
+    inputs: int,
     seconds: float,
-    data: float,
-    folder: Path,
+    held: float,
 ) -> PhasePlan:
+    """Value gradients of a ``pilot`` that sees ``inputs`` values."""
     config, robots = preset.tuning, preset.tuning_task.num_envs
-    view = trainer.view(trainer.preset.tuning_task)
-    privileged = view.task.reference_observation()
-    seen = TensorDict({"critic": privileged}, batch_size=[view.task.num_envs])
-    critic = mlp_model(seen, "critic", 1, PpoConfig())
-    ready = replace(config, warm_up=0)
-    tuner = Tuner(view, trainer.student, critic, ready, 0, folder)
-    rate = _rate(tuner.round, seconds)
+    privileged = pilot.task.reference_observation()
+    seen = TensorDict({CRITIC: privileged}, batch_size=[len(privileged)])
+    critic = mlp_model(seen, CRITIC, 1, PpoConfig())
+    with tempfile.TemporaryDirectory() as folder:
+        ready = replace(config, warm_up=0)
+        rate = _rate(Tuner(pilot, critic, ready, 0, Path(folder)).round, seconds)
     # What gradients need on their way back: inputs and hidden layers of all networks.
-    each = 4 * view.observe().shape[1] + 8 * config.width + privileged.shape[1] + 10_000
+    each = 4 * inputs + 8 * config.width + privileged.shape[1] + 10_000
     memory = 4.0 * each * robots * config.steps + 4.0 * 165 * config.kept
-    memory += _network_bytes(trainer.student) + _robot_bytes(preset.tuning_task) + data
+    memory += _network_bytes(pilot.network) + _robot_bytes(preset.tuning_task) + held
     bounds = Budget(preset.tuning_minutes, preset.tuning_iterations)
-    return _phase(
-        "student, value gradients", robots, config.steps, rate, bounds, memory
-    )
+    name = f"{who}, value gradients"
+    return _phase(name, robots, config.steps, rate, bounds, memory)
 
 
 def waving() -> Clip:

@@ -8,14 +8,12 @@ from typing import TypeVar
 
 from openclone.errors import InputError
 from openclone.motion.clip import Clip
-from openclone.motion.commands import is_command
 from openclone.odometry.faults import REAL, OdometryFaultsConfig
 from openclone.odometry.noise import OdometryNoiseConfig
 from openclone.policy.mlp import MlpConfig
 from openclone.policy.moe import MoeConfig
 from openclone.training.amp import AmpConfig
-from openclone.training.data import is_recorded, select_clips
-from openclone.training.held_back import held_back_clips
+from openclone.training.data_choice import DataChoice
 from openclone.training.imitation import ImitationConfig
 from openclone.training.ppo import PpoConfig
 from openclone.training.reward_table import FAST, PAPER
@@ -27,54 +25,6 @@ from openclone.training.task_config import (
 from openclone.training.value_gradient import ValueGradientConfig
 
 _WALKING = ("stand", "forward", "turn")
-
-
-@dataclass(frozen=True)
-class DataChoice:
-    """Which clips a run learns from.
-
-    Attributes:
-        categories: motion categories to train on; None for all.
-        recorded_only: leave out synthetic and edited clips.
-        commands: also train on what no feet can follow: gliding laps, and recordings
-            as a governor passes them on (`held_back`).
-        mirror: also train on every clip with left and right swapped.
-        still_seconds: hold clips that end at rest for this long. The same for teacher
-            and student, which then share what is computed about the motions.
-        fastest: metres per second; clips that travel faster for half a second are left
-            out. 1.4 leaves out jogs, runs and side-steps at a run, and keeps walks.
-    """
-
-    categories: tuple[str, ...] | None = None
-    recorded_only: bool = False
-    commands: bool = True
-    mirror: bool = True
-    still_seconds: float = 4.0
-    fastest: float = math.inf
-
-    def select(self, clips: list[Clip]) -> list[Clip]:
-        """The training motions among ``clips``, padded and mirrored.
-
-        Raises:
-            InputError: none is left.
-        """
-        kept = [
-            clip
-            for clip in clips
-            if (is_recorded(clip) or not self.recorded_only)
-            and (self.commands or not is_command(clip.info))
-        ]
-        if clips and not kept:
-            raise InputError(
-                "this preset trains on recordings alone, and there are none",
-                remedy="give a folder of recordings with --motions",
-            )
-        if self.commands and not self.recorded_only:
-            kept += held_back_clips(kept)
-        return select_clips(
-            kept, self.categories, self.mirror, self.still_seconds, self.fastest
-        )
-
 
 _BEFORE_THE_FALL = TerminationLimits(0.4, 1.5, math.inf, 1.5)
 """A robot that lags may catch up: what it learns then, the student needs most."""
@@ -93,6 +43,22 @@ _FAST_TASK = TaskConfig(
     recorded_weight=5.0,
     view="command",
     guidance="arms",
+)
+_STUDENT_TASK = TaskConfig(
+    num_envs=512,
+    limits=_BEFORE_THE_FALL,
+    view="command",
+    guidance="arms",
+    failure_share=0.5,
+    run_up=125,
+    push_speed=1.6,
+    push_interval=12.0,
+    displaced_share=0.05,
+    standing_share=0.08,
+    recorded_weight=5.0,
+)
+_TUNING_TASK = replace(
+    _STUDENT_TASK, num_envs=256, push_interval=8.0, standing_share=0.03
 )
 _EARLIER = replace(FAST, body_position=4.0, body_velocity=2.0)
 """What `quickstart` and `feedback` were measured with."""
@@ -144,6 +110,9 @@ class TeacherPreset:
         guess_errors: size of the errors, during PPO, in what students must guess; 1:
             those of a student.
         amp: the style reward; None for none.
+        tuning_minutes: wall time of value gradients afterwards; 0 for none.
+        tuning_iterations: their steps, if they end it instead.
+        tuning_task, tuning: their settings; AMP takes no part.
     """
 
     minutes: float = 60.0
@@ -154,6 +123,10 @@ class TeacherPreset:
     imitation: ImitationConfig | None = None
     guess_errors: float = 0.0
     amp: AmpConfig | None = None
+    tuning_minutes: float = 0.0
+    tuning_iterations: int | None = None
+    tuning_task: TaskConfig = _TUNING_TASK
+    tuning: ValueGradientConfig = field(default_factory=ValueGradientConfig)
 
     def select(self, clips: list[Clip]) -> list[Clip]:
         """The training motions among ``clips``."""
@@ -185,22 +158,6 @@ class DistillationConfig:
     balance: float = 0.05
     max_grad_norm: float = 0.5
     average: float = 0.9995
-
-
-_STUDENT_TASK = TaskConfig(
-    limits=_BEFORE_THE_FALL,
-    view="command",
-    guidance="arms",
-    failure_share=0.5,
-    run_up=125,
-    push_speed=1.6,
-    displaced_share=0.05,
-    standing_share=0.08,
-    recorded_weight=2.0,
-)
-_TUNING_TASK = replace(
-    _STUDENT_TASK, push_interval=8.0, recorded_weight=5.0, look_share=0.7
-)
 
 
 @dataclass(frozen=True)
@@ -257,14 +214,26 @@ _PAPER_TASK = replace(
 _SMOKE_TASK = TaskConfig(num_envs=16, episode_steps=50)
 _SMOKE_PPO = PpoConfig(steps=4, epochs=1, minibatches=1, hidden=(32, 32))
 _SMOKE_AMP = AmpConfig(hidden=(32, 16), replay=1000, batch=64, updates=1)
+_SMOKE_TUNING = ValueGradientConfig(
+    steps=4,
+    warm_up=1,
+    width=16,
+    world_updates=1,
+    world_batch=32,
+    kept=256,
+    warm_up_updates=2,
+)
 
-_TEACHER = TeacherPreset(guess_errors=1.0, ppo=replace(_FAST_PPO, epochs=1, twins=4))
+_TEACHER = TeacherPreset(
+    guess_errors=1.0, ppo=replace(_FAST_PPO, epochs=1, twins=4), tuning_minutes=20.0
+)
 TEACHERS = {
     "fast": _TEACHER,
     "fast-amp": replace(
         _TEACHER,
         task=replace(_FAST_TASK, weights=replace(FAST, amp=0.5)),
         amp=AmpConfig(hidden=(256, 128), batch=2048, learning_rate=1e-4),
+        tuning_minutes=0.0,  # AMP would take no part
     ),
     "other-data": replace(_TEACHER, data=DataChoice(recorded_only=True, mirror=False)),
     "paper": TeacherPreset(
@@ -308,12 +277,14 @@ TEACHERS = {
         task=replace(_SMOKE_TASK, weights=replace(FAST, amp=0.5)),
         ppo=_SMOKE_PPO,
         amp=_SMOKE_AMP,
+        tuning_task=_SMOKE_TASK,
+        tuning=_SMOKE_TUNING,
     ),
 }
 
 _STUDENT = StudentPreset()
 STUDENTS = {
-    "fast": _STUDENT,
+    "fast": replace(_STUDENT, tuning_minutes=15.0),
     "mlp": replace(_STUDENT, network=MlpConfig()),
     "other-data": replace(
         _STUDENT,
@@ -322,7 +293,7 @@ STUDENTS = {
     "history-5": replace(_STUDENT, history=5),
     "history-50": replace(_STUDENT, history=50),
     "layers-1": replace(_STUDENT, network=MoeConfig(layers=1)),
-    "real-odometry": replace(_STUDENT, faults=REAL),
+    "real-odometry": replace(_STUDENT, tuning_minutes=15.0, faults=REAL),
     "experts-8": replace(_STUDENT, network=MoeConfig(experts=8)),
     "paper": StudentPreset(
         minutes=math.inf,
@@ -344,10 +315,7 @@ STUDENTS = {
         tuning_minutes=0.0,
         teacher="quickstart",
         task=replace(
-            _STUDENT_TASK,
-            num_envs=512,
-            failure_share=0.3,
-            push_speed=0.5,
+            _STUDENT_TASK, failure_share=0.3, push_speed=0.5, push_interval=5.0
         ),
         data=_QUICKSTART_DATA,
     ),
@@ -361,15 +329,7 @@ STUDENTS = {
         task=_SMOKE_TASK,
         tuning_task=_SMOKE_TASK,
         distillation=DistillationConfig(steps=4, updates=2, batch=32),
-        tuning=ValueGradientConfig(
-            steps=4,
-            warm_up=1,
-            width=16,
-            world_updates=1,
-            world_batch=32,
-            kept=256,
-            warm_up_updates=2,
-        ),
+        tuning=_SMOKE_TUNING,
     ),
 }
 """``mlp`` is the paper's CLONE†, ``other-data`` its CLONE*; ``history-*``, ``layers-1``

@@ -23,13 +23,15 @@ from openclone.training.data import load_reference, make_task
 from openclone.training.distillation import Dagger, distill
 from openclone.training.distributed import joined, team
 from openclone.training.hardware import Hardware, keep_memory
+from openclone.training.pilots import StudentPilot
 from openclone.training.presets import StudentPreset
 from openclone.training.progress import Budget, Progress, Trained
 from openclone.training.reference import ReferenceMotions
 from openclone.training.student_view import StudentView
 from openclone.training.task_config import TaskConfig
-from openclone.training.teacher import CRITIC, load_critic, load_teacher
-from openclone.training.value_gradient import Tuner
+from openclone.training.teacher import load_critic, load_teacher
+from openclone.training.teacher_view import CRITIC
+from openclone.training.value_gradient import SHOWN, Tuner
 
 CHECKPOINT = "student.pt"
 BUNDLE = "student.onnx"
@@ -38,9 +40,6 @@ _KEPT_MINUTES = 1.9
 """Minutes between kept bundles; a little less than two, as lines come in steps."""
 _SHOWN = (
     "falls/1000", "error_mm", "reward", "gap", "loss/imitation", "loss/balance",
-)  # fmt: skip
-_SHOWN_TUNING = (
-    "falls/1000", "error_mm", "reward", "return", "loss/value", "loss/world",
 )  # fmt: skip
 
 
@@ -259,8 +258,7 @@ def _tuning_phase(
     preset = trainer.preset
     team().share(trainer.student)
     tuner = Tuner(
-        trainer.view(preset.tuning_task),
-        trainer.student,
+        StudentPilot(trainer.view(preset.tuning_task), trainer.student),
         load_critic(teacher, CRITIC, preset.tuning_task).to(trainer.reference.device),
         preset.tuning,
         trainer.seed,
@@ -277,7 +275,7 @@ def _tuning_phase(
     try:
         while not team().agree(progress.finished):
             tuner.round(progress)
-            if progress.line(30.0, _SHOWN_TUNING):
+            if progress.line(30.0, SHOWN):
                 save()
         save()
     finally:

@@ -203,20 +203,26 @@ class TrackingTask:
             targets = torch.cat((legs, targets[:, LEGS.stop :]), 1)
         return targets
 
+    @on_one_thread
     def teacher_observation(self) -> torch.Tensor:
         """(n, d): what the teacher sees, by the configured view."""
         if self.config.view == "reference":
             return self.reference_observation()
-        seen = self.command_observation()
-        if self.config.view == "legs":
-            legs = legs_observation(self._state, self.next_reference())
-            seen = torch.cat((seen, legs), 1)
-        return seen
+        reference = self.next_reference()
+        return self.observe_command(self._state, reference, self.look, self.action)
 
-    @on_one_thread
-    def command_observation(self) -> torch.Tensor:
-        """(n, d): head and hands of the reference, and the robot's true state."""
-        return command_observation(self._state, self.command(), self.action)
+    def observe_command(
+        self,
+        robot: RobotState,
+        reference: RobotState,
+        look: torch.Tensor,
+        action: torch.Tensor,
+    ) -> torch.Tensor:
+        """(n, d): any ``robot``, and head and hands, perhaps legs, of ``reference``."""
+        seen = command_observation(robot, command_of(reference, look), action)
+        if self.config.view == "legs":
+            seen = torch.cat((seen, legs_observation(robot, reference)), 1)
+        return seen
 
     def command(self) -> Command:
         """What the operators of all robots ask for at t + 1."""

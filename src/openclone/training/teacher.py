@@ -1,4 +1,4 @@
-"""Training the privileged teacher with PPO (section 3.1)."""
+"""Training the privileged teacher: PPO (section 3.1), then value gradients."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import torch
 from rsl_rl.algorithms import PPO
 from rsl_rl.models import MLPModel
 from tensordict import TensorDict
+from torch import nn
 
 from openclone.errors import InputError
 from openclone.motion.clip import Clip, clip_hash
@@ -25,9 +26,9 @@ from openclone.training.checkpoint import (
 )
 from openclone.training.data import load_reference, make_task
 from openclone.training.distributed import joined, team
-from openclone.training.guesses import GuessErrors
 from openclone.training.hardware import Hardware, keep_memory
 from openclone.training.imitation import Imitation, imitate
+from openclone.training.pilots import TeacherPilot
 from openclone.training.ppo import (
     PpoConfig,
     build_ppo,
@@ -38,46 +39,14 @@ from openclone.training.ppo import (
 )
 from openclone.training.presets import TeacherPreset
 from openclone.training.progress import Budget, Progress, Trained
-from openclone.training.task import StepResult, TrackingTask
+from openclone.training.task import TrackingTask
 from openclone.training.task_config import TaskConfig
+from openclone.training.teacher_view import CRITIC, GROUP, TeacherEnvironment
+from openclone.training.value_gradient import SHOWN, Tuner
 
-GROUP = "teacher"
-CRITIC = "critic"
-"""Observation of the critic, where it is not the teacher's."""
 CHECKPOINT = "teacher.pt"
-
-
-class TeacherEnvironment:
-    """The task as the teacher plays it: privileged view, residual actions."""
-
-    def __init__(
-        self, task: TrackingTask, guess_errors: float = 0.0, seed: int = 0
-    ) -> None:
-        """Teachers see what students must guess with so large errors."""
-        self.task = task
-        self.num_envs = task.num_envs
-        self._errors: GuessErrors | None = None
-        if guess_errors:
-            example = task.teacher_observation()
-            self._errors = GuessErrors(example, guess_errors, seed)
-
-    def observe(self) -> TensorDict:
-        """Group ``teacher``; and ``critic``, if the teacher does not see it all."""
-        seen = self.task.teacher_observation()
-        groups = {GROUP: self._errors(seen) if self._errors else seen}
-        if self.task.config.view != "reference":
-            groups[CRITIC] = self.task.reference_observation()
-        return TensorDict(groups, batch_size=[self.num_envs])
-
-    def copy(self, sources: torch.Tensor) -> None:
-        """Put every robot where robot ``sources (n,)[robot]`` is, with its past."""
-        self.task.copy(sources)
-        if self._errors is not None:
-            self._errors.copy(sources)
-
-    def step(self, action: torch.Tensor) -> StepResult:
-        """Joint targets = what the task's guidance gives + scale x action."""
-        return self.task.step(self.task.residual_to_target(action))
+TUNING = "tuning.pt"
+"""What value gradients need to go on; the teacher itself is their average."""
 
 
 def _new_ppo(task: TrackingTask, config: PpoConfig) -> PPO:
@@ -101,6 +70,7 @@ class TeacherTrainer:
         """Build task and untrained networks."""
         # Processes that train together begin with the networks of process 0.
         self._seed = seed = team().own_seed(seed)
+        self._threads, self._hardware = threads, hardware
         keep_memory()
         torch.manual_seed(seed)
         chosen = preset.select(clips)
@@ -146,15 +116,27 @@ class TeacherTrainer:
         """PPO with the networks of a checkpoint, but with the preset's noise."""
         self.resume(path)
         renew_noise(self.ppo, self.preset.ppo)
-        self.phase, self.trained = "ppo", Trained(steps=self.trained.steps)
+        self.enter("ppo")
 
-    def save(self, path: Path, progress: Progress) -> None:
-        """Write everything needed to go on; one process of the team does."""
+    def enter(self, phase: str) -> None:
+        """Begin ``phase`` with a fresh budget."""
+        self.phase, self.trained = phase, Trained(steps=self.trained.steps)
+
+    def save(
+        self, path: Path, progress: Progress, network: nn.Module | None = None
+    ) -> None:
+        """Write everything needed to go on; one process of the team does.
+
+        ``network`` is written instead of the actor's.
+        """
         self.trained = trained = progress.trained
         if not team().leads:
             return
+        ppo = self.ppo.save()
+        for name, value in (network or self.ppo.actor.mlp).state_dict().items():
+            ppo["actor_state_dict"][f"mlp.{name}"] = value
         content = {
-            "ppo": self.ppo.save(),
+            "ppo": ppo,
             "hidden": list(self.preset.ppo.hidden),
             "preview": list(self.preset.task.preview),
             "guidance": self.preset.task.guidance,
@@ -175,6 +157,7 @@ class TeacherTrainer:
         assert config is not None
         imitation = Imitation(self.task, self.ppo.actor, GROUP, config, progress)
         imitate(imitation, lambda: self.save(path, progress))
+        self.save(path, progress)
 
     def learn(self, progress: Progress, path: Path) -> None:
         """PPO until the budget is spent, with AMP if the preset wants it."""
@@ -189,6 +172,40 @@ class TeacherTrainer:
             lambda: self.save(path, progress),
             watchers,
         )
+        self.save(path, progress)
+
+    def pilot(self) -> TeacherPilot:
+        """The teacher in a fresh task, with the settings of value gradients."""
+        preset, reference, seed = self.preset, self.task.reference, self._seed
+        task = make_task(
+            reference, preset.tuning_task, seed, self._threads, self._hardware
+        )
+        env = TeacherEnvironment(task, preset.guess_errors, seed)
+        return TeacherPilot(env, self.ppo.actor)
+
+    def tune(self, progress: Progress, path: Path) -> None:
+        """Value gradients until the budget is spent; the average is the teacher."""
+        actor, critic, config = self.ppo.actor, self.ppo.critic, self.preset.tuning
+        team().share_networks(self.ppo)
+        tuner = Tuner(self.pilot(), critic, config, self._seed, progress.folder)
+        state = path.with_name(TUNING)
+        if progress.iterations:
+            content = load_checkpoint(state)
+            with fitting(state):
+                actor.mlp.load_state_dict(content["newest"])
+                tuner.load_state_dict(content["tuner"])
+
+        def save() -> None:
+            self.save(path, progress, tuner.average)
+            if team().leads:
+                newest = actor.mlp.state_dict()
+                save_checkpoint(state, {"newest": newest, "tuner": tuner.state_dict()})
+
+        while not team().agree(progress.finished):
+            tuner.round(progress)
+            if progress.line(30.0, SHOWN):
+                save()
+        save()
 
     def _learn_style(self) -> dict[str, float]:
         if self.style is None:
@@ -204,6 +221,7 @@ def train_teacher(
     out: Path,
     *,
     minutes: float | None = None,
+    tuning_minutes: float | None = None,
     resume: bool = False,
     start: Path | None = None,
     seed: int = 0,
@@ -218,7 +236,9 @@ def train_teacher(
         clips: the data set; the preset chooses categories and mirrors.
         preset: every setting.
         out: folder for checkpoint and event files.
-        minutes: total wall time of PPO instead of the preset's, earlier runs included.
+        minutes: total wall time of PPO instead of the preset's, earlier runs included;
+            0: none.
+        tuning_minutes: wall time of value gradients instead of the preset's; 0: none.
         resume: go on from the checkpoint in ``out``, time included.
         start: begin with the networks of this checkpoint, the preset's noise and a
             fresh budget.
@@ -228,6 +248,7 @@ def train_teacher(
     """
     path = Path(out) / CHECKPOINT
     budget = Budget(preset.minutes if minutes is None else minutes, preset.iterations)
+    extra = preset.tuning_minutes if tuning_minutes is None else tuning_minutes
     hardware = hardware or Hardware()
     with joined(hardware.torch_device()) as crew:
         trainer = TeacherTrainer(clips, preset, seed, threads, hardware)
@@ -240,8 +261,13 @@ def train_teacher(
         if preset.imitation is not None and trainer.phase == "imitation":
             lesson = Budget(preset.imitation.minutes, preset.imitation.iterations)
             _run(trainer, trainer.imitate, lesson, path)
-            trainer.phase, trainer.trained = "ppo", Trained(trainer.trained.steps)
-        _run(trainer, trainer.learn, budget, path)
+            trainer.enter("ppo")
+        if trainer.phase == "ppo":
+            _run(trainer, trainer.learn, budget, path)
+        if extra > 0:
+            if trainer.phase == "ppo":
+                trainer.enter("tuning")
+            _run(trainer, trainer.tune, Budget(extra, preset.tuning_iterations), path)
     return path
 
 
@@ -251,11 +277,10 @@ def _run(
     budget: Budget,
     path: Path,
 ) -> None:
-    """One phase, and the checkpoint at its end."""
+    """One phase, which writes the checkpoint at its end."""
     progress = Progress(path.parent, budget, trainer.trained)
     try:
         phase(progress, path)
-        trainer.save(path, progress)
     finally:
         progress.close()
 

@@ -1,4 +1,4 @@
-"""Value gradients: how the return of real roll-outs changes with the student's weights.
+"""Value gradients: how the return of real roll-outs changes with a policy's weights.
 
 PPO learns from chance: hardly any of an advantage's variance comes from the action. A
 world model tells instead how every action changes what follows. The simulation's own
@@ -19,23 +19,23 @@ from rsl_rl.models import MLPModel
 from torch import nn
 
 from openclone.errors import InputError
-from openclone.policy.command import command_of
-from openclone.policy.observation import History
-from openclone.policy.student import StudentModel
 from openclone.robot.model import CONTROL_PERIOD
 from openclone.robot.state import RobotState
 from openclone.training.body_tree import BodyTree, as_sensed, without_value
 from openclone.training.distributed import team
 from openclone.training.guard import NanGuard, Tensors
 from openclone.training.muon import Muon
+from openclone.training.pilots import Moment, Pilot, smooth
 from openclone.training.progress import Progress
 from openclone.training.reward_table import total_reward
 from openclone.training.rewards import TrackingState
-from openclone.training.student_view import StudentView, sensed_frame, student_input
 from openclone.training.tally import Tally
 from openclone.training.terrain import build_training_model
 from openclone.training.windows import Window, each, roll_out
 from openclone.training.world_model import WorldLearner, WorldModel
+
+SHOWN = ("falls/1000", "error_mm", "reward", "return", "loss/value", "loss/world")
+"""Values for a line of progress."""
 
 
 @dataclass(frozen=True)
@@ -47,8 +47,8 @@ class ValueGradientConfig:
         std: exploration noise, units of action, from which the world model learns.
         rate, final_rate: step of each weight, `Muon`, at the beginning and at the end.
         momentum: of these steps.
-        average: share of the old weights in their moving average; that is what the
-            bundle holds.
+        average: share of the old weights in their moving average; that is what
+            bundle or teacher hold.
         bound: largest gradient of one robot's return with respect to one of its states.
         discount, trace: γ and λ.
         critic_rate: learning rate of the critic.
@@ -80,60 +80,51 @@ class ValueGradientConfig:
 
 
 class Tuner:
-    """Student, critic and world model, and how they learn from roll-outs."""
+    """Policy, critic and world model, and how they learn from roll-outs."""
 
     def __init__(
         self,
-        view: StudentView,
-        student: StudentModel,
+        pilot: Pilot,
         critic: MLPModel,
         config: ValueGradientConfig,
         seed: int,
         folder: Path,
     ) -> None:
-        """Prepare tuning of ``student``; its routers stay as they are.
+        """Prepare tuning of ``pilot``.
 
         Raises:
             InputError: the ground is not flat; the world model knows no other.
         """
-        if view.task.config.randomization.terrain != ("flat",):
+        if pilot.task.config.randomization.terrain != ("flat",):
             raise InputError(
                 "value gradients need flat ground",
                 remedy="tune with a task whose `terrain` is ('flat',)",
             )
-        self.view, self.student, self.critic = view, student, critic
-        self.config, device = config, view.task.device
-        student.freeze_routing()
-        student.eval()
-        critic.eval()
-        for layer in critic.mlp:
-            if isinstance(layer, nn.ELU):
-                layer.inplace = False
+        self.pilot, self.critic = pilot, smooth(critic)
+        self.config, device = config, pilot.task.device
         self.tree = BodyTree(build_training_model(), device)
         world = WorldModel(self.tree, config.width).to(device)
         self.learner = WorldLearner(world, config.kept, config.world_batch, seed)
         self._random = torch.Generator(device).manual_seed(seed)
-        self._parameters = [p for p in student.mlp.parameters() if p.requires_grad]
+        self._parameters = [p for p in pilot.network.parameters() if p.requires_grad]
         self._muon = Muon(self._parameters, config.rate, config.momentum)
         self._adam = torch.optim.Adam(critic.mlp.parameters(), config.critic_rate)
-        self.average = copy.deepcopy(student.mlp)
-        networks = {"student": student.mlp, "critic": critic, "world": world}
+        self.average = copy.deepcopy(pilot.network)
+        networks = {"policy": pilot.network, "critic": critic, "world": world}
         self._newest: Tensors = {}
-        self._guard = NanGuard(folder, view.task, networks, lambda: self._newest)
-        self._tally = Tally(view.task)
+        self._guard = NanGuard(folder, pilot.task, networks, lambda: self._newest)
+        self._tally = Tally(pilot.task)
         self.warm = 0
 
     def act(self) -> Window:
         """One roll-out."""
         config, random = self.config, self._random
-        return roll_out(
-            self.view, self.student, config.steps, config.std, random, self._tally
-        )
+        return roll_out(self.pilot, config.steps, config.std, random, self._tally)
 
     def round(self, progress: Progress) -> None:
         """One roll-out, and what all three learn from it."""
         window = self.act()
-        self._newest = {"action": window.action, "history": window.history}
+        self._newest = {"action": window.action, "past": window.past}
         self._guard.check_observations(self._newest.values(), progress.steps)
         progress.steps += window.reward.numel() * team().size
         self._tally.report(progress)
@@ -212,7 +203,7 @@ class Tuner:
         for param in self._parameters:
             if param.grad is not None:
                 param.grad.nan_to_num_()
-        team().average_gradients(self.student.mlp)
+        team().average_gradients(self.pilot.network)
         size = nn.utils.get_total_norm(
             [p.grad for p in self._parameters if p.grad is not None]
         )
@@ -221,13 +212,13 @@ class Tuner:
             group["lr"] = rate
         self._muon.step()
         with torch.no_grad():
-            newest = self.student.mlp.parameters()
+            newest = self.pilot.network.parameters()
             for old, new in zip(self.average.parameters(), newest, strict=True):
                 old.lerp_(new, 1.0 - config.average)
         return {"return": gained.item(), "gradient": size.item(), "lr": rate}
 
     def state_dict(self) -> dict[str, Any]:
-        """What a checkpoint holds beside the student."""
+        """What a checkpoint holds beside the policy."""
         return {
             "average": self.average.state_dict(),
             "muon": self._muon.state_dict(),
@@ -237,7 +228,7 @@ class Tuner:
         }
 
     def load_state_dict(self, content: dict[str, Any]) -> None:
-        """Go on from `state_dict`; the student comes from elsewhere."""
+        """Go on from `state_dict`; the policy comes from elsewhere."""
         self.average.load_state_dict(content["average"])
         self._muon.load_state_dict(content["muon"])
         self.critic.load_state_dict(content["critic"])
@@ -251,13 +242,11 @@ class Repetition:
     def __init__(self, tuner: Tuner, window: Window) -> None:
         """Begin where ``window`` began."""
         self._tuner, self._window = tuner, window
-        self._task = tuner.view.task
+        self._task = tuner.pilot.task
         self._qpos, self._qvel = window.qpos[0], window.qvel[0]
         self._place(0)
         self._task_action = window.task_action[0]
-        self._own_action = window.own_action[0]
-        self._history = History(window.history[:, 0], 1)
-        self._history.frames = window.history
+        self._recall = tuner.pilot.recall(window.past)
 
     def _place(self, step: int) -> None:
         """Bodies where they are before ``step``, and as they are sensed."""
@@ -295,18 +284,24 @@ class Repetition:
         return self._tuner.value(seen)
 
     def _act(self, step: int, reference: RobotState) -> torch.Tensor:
-        """What the student did, with the gradients of what it would do."""
-        window, student = self._window, self._tuner.student
-        command = command_of(reference, window.look[step])
-        seen = student_input(self._robot, command, window.error[step], self._history)
-        return window.action[step] + without_value(student.mean_action(seen))
+        """What the policy did, with the gradients of what it would do."""
+        window = self._window
+        moment = Moment(
+            robot=self._robot,
+            reference=reference,
+            frame=window.frame[step],
+            look=window.look[step],
+            action=self._task_action,
+            error=window.error[step],
+        )
+        return window.action[step] + without_value(self._recall.act(moment))
 
     def _step(self, step: int) -> torch.Tensor:
         """Act, and go where the robots went; the rewards, ``(n,)``."""
-        window, view, task = self._window, self._tuner.view, self._task
+        window, task = self._window, self._task
         reference = task.reference.at(window.frame[step])
         own = self._act(step, reference)
-        targets = view.to_target(own)
+        targets = self._tuner.pilot.to_target(own, window.base[step])
         action = (targets - window.base[step]) / task.action_scale
         foreseen = self._tuner.learner.model(
             self._qpos, self._qvel, targets, self._bodies
@@ -320,12 +315,10 @@ class Repetition:
             )
         )
         self._task_action = window.task_action[step + 1] + without_value(action) * live
-        self._own_action = window.own_action[step + 1] + without_value(own) * live
         self._place(step + 1)
-        frame = sensed_frame(self._robot, self._own_action)
-        self._history.push(frame)
-        born = torch.nonzero(window.ended[step])[:, 0]
-        self._history.refill(born, frame[born])
+        born = window.ended[step]
+        own = window.action[step] * ~born[:, None] + without_value(own) * live
+        self._recall.went(self._robot, own, torch.nonzero(born)[:, 0])
         idle = torch.zeros_like(window.cut[step])
         tracking = TrackingState(
             robot=self._robot,

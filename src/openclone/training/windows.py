@@ -1,4 +1,4 @@
-"""Roll-outs of the student with all that it takes to repeat them."""
+"""Roll-outs of a policy with all that it takes to repeat them."""
 
 from __future__ import annotations
 
@@ -7,9 +7,8 @@ from dataclasses import dataclass, fields
 
 import torch
 
-from openclone.policy.student import StudentModel
 from openclone.robot.state import RobotState
-from openclone.training.student_view import StudentView
+from openclone.training.pilots import Pilot
 from openclone.training.tally import Tally
 
 
@@ -23,12 +22,11 @@ class Window:
         frame: (T + 1, n), reference frame of the next step.
         look: (T + 1, n), whether the head's orientation is commanded.
         base: (T + 1, n, 29), radians, targets of the task's guidance.
-        task_action, own_action: (T + 1, n, 29), previous actions as the task and as
-            the student count them.
-        error: (T + 1, n, 1, 3), metres, of the odometry.
+        task_action: (T + 1, n, 29), previous actions as the task counts them.
         privileged: (T + 1, n, d), the critic's observation.
-        history: (n, H, 93), frames at the beginning.
-        action: (T, n, 29), what the student did, noise included.
+        past: (n, ...), what the pilot remembered at the beginning.
+        error: (T, n, ...), what was wrong with what it saw.
+        action: (T, n, 29), what it did, noise included.
         targets: (T, n, 29), radians, joint targets of that.
         reward: (T, n).
         cut: (T, n) bool, the step led elsewhere: an episode's end or a push.
@@ -42,10 +40,9 @@ class Window:
     look: torch.Tensor
     base: torch.Tensor
     task_action: torch.Tensor
-    own_action: torch.Tensor
-    error: torch.Tensor
     privileged: torch.Tensor
-    history: torch.Tensor
+    past: torch.Tensor
+    error: torch.Tensor
     action: torch.Tensor
     targets: torch.Tensor
     reward: torch.Tensor
@@ -63,57 +60,48 @@ def each(state: RobotState, work: Callable[[torch.Tensor], torch.Tensor]) -> Rob
     return RobotState(*(work(getattr(state, f.name)) for f in fields(RobotState)))
 
 
-_MOMENT = (
-    "qpos", "qvel", "frame", "look", "base", "task_action", "own_action", "error",
-    "privileged",
+_STATES = ("qpos", "qvel", "frame", "look", "base", "task_action", "privileged")
+_STEPS = (
+    "error", "action", "targets", "reward", "cut", "ended", "terminated",
 )  # fmt: skip
 
 
 @torch.no_grad()
 def roll_out(
-    view: StudentView,
-    student: StudentModel,
-    steps: int,
-    std: float,
-    random: torch.Generator,
-    tally: Tally,
+    pilot: Pilot, steps: int, std: float, random: torch.Generator, tally: Tally
 ) -> Window:
-    """Let the student act for ``steps`` steps, with noise of deviation ``std``."""
-    task = view.task
-    kept: dict[str, list[torch.Tensor]] = {name: [] for name in _MOMENT}
-    done: dict[str, list[torch.Tensor]] = {
-        name: []
-        for name in ("action", "targets", "reward", "cut", "ended", "terminated")
-    }
+    """Let ``pilot`` act for ``steps`` steps, with noise of deviation ``std``."""
+    task, past = pilot.task, pilot.past()
+    kept: dict[str, list[torch.Tensor]] = {name: [] for name in _STATES + _STEPS}
     sensed: list[RobotState] = []
-    history = view.history.frames.clone()
     for step in range(steps + 1):
         qpos, qvel, _ = task.physics.read()
-        moment = (
-            qpos, qvel, task.next_frame(), task.look, task.base_targets(),
-            task.action, view.action, view.error, task.reference_observation(),
+        base = task.base_targets()
+        state = (
+            qpos, qvel, task.next_frame(), task.look, base, task.action,
+            task.reference_observation(),
         )  # fmt: skip
-        for name, part in zip(_MOMENT, moment, strict=True):
+        for name, part in zip(_STATES, state, strict=True):
             kept[name].append(part.clone())
         sensed.append(task.robot_state())
         if step == steps:
             break
-        action = student.mean_action(view.observe())
+        action = pilot.act()
         noise = torch.empty_like(action).normal_(generator=random)
-        action = action + std * noise
-        result = view.step(action)
+        action, error = action + std * noise, pilot.error.clone()
+        result = pilot.step(action)
         tally.add(result)
-        results = (
-            action, view.to_target(action), result.reward,
+        done = (
+            error, action, pilot.to_target(action, base), result.reward,
             result.done | result.pushed, result.done, result.terminated,
         )  # fmt: skip
-        for name, part in zip(done, results, strict=True):
-            done[name].append(part)
-    stacked = {name: torch.stack(parts) for name, parts in {**kept, **done}.items()}
+        for name, part in zip(_STEPS, done, strict=True):
+            kept[name].append(part)
+    stacked = {name: torch.stack(parts) for name, parts in kept.items()}
     states = RobotState(
         **{
             f.name: torch.stack([getattr(state, f.name) for state in sensed])
             for f in fields(RobotState)
         }
     )
-    return Window(**stacked, sensed=states, history=history)
+    return Window(**stacked, sensed=states, past=past)
