@@ -14,10 +14,12 @@ from openclone.evaluation.tracking import TrackingReport, evaluate_tracking
 from openclone.motion.clip import Clip, ClipInfo, clip_from_qpos
 from openclone.policy import observation
 from openclone.policy.bundle import Bundle, g1_info
+from openclone.policy.command import command_of
 from openclone.robot import g1
 from openclone.robot.kinematics import Kinematics
 from openclone.robot.model import build_model, standing_qpos
 from openclone.spatial import rotations
+from openclone.training.reference import build_reference
 
 
 class FakeBundle(Bundle):
@@ -108,6 +110,17 @@ def test_reference_velocities_are_those_of_a_sliding_clip():
     expected = np.tile([0.8, 0.0, 0.0], (51, 3, 1))
     assert reference.point_velocities == pytest.approx(expected, abs=1e-6)
     assert reference.start_velocity[:3] == pytest.approx([0.8, 0, 0], abs=1e-6)
+
+
+def test_commands_are_those_of_training():
+    qpos = np.tile(standing_qpos(), (40, 1))
+    qpos[:, 7:] += 0.1 * np.random.default_rng(0).standard_normal((40, 29))
+    clip = clip_from_qpos(ClipInfo("shaky", "wave", "test", "", 50.0), qpos)
+    model = build_model()
+    told = command_of(build_reference([clip], model).frames)
+    reference = make_reference(clip, model)
+    np.testing.assert_allclose(reference.points, told.target.position, atol=1e-5)
+    np.testing.assert_allclose(reference.point_velocities, told.velocity, atol=1e-4)
 
 
 def test_a_clip_shorter_than_a_control_step_is_refused():

@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from openclone.robot import g1
-from openclone.robot.model import CONTROL_PERIOD, standing_qpos
+from openclone.robot.model import CONTROL_PERIOD, SUBSTEPS, standing_qpos
 from openclone.robot.state import key_point_velocities
 from openclone.simulation.robot import FallLimits, SimulatedRobot
 from openclone.spatial import rotations
@@ -79,10 +79,24 @@ def test_sensors_are_those_of_the_current_state(robot: SimulatedRobot) -> None:
         np.testing.assert_allclose(
             state.body_position[index], fresh.body(name).xpos, atol=1e-9
         )
+
+
+def test_the_imu_is_a_physics_step_older(robot: SimulatedRobot) -> None:
+    speed = 0.3 * np.random.default_rng(0).standard_normal(35)
+    robot.reset(standing_qpos(), speed)
     # The gyroscope measures the base's angular velocity in the pelvis frame.
-    np.testing.assert_allclose(
-        robot.reading().angular_velocity_b, robot.qvel[3:6], atol=1e-6
-    )
+    np.testing.assert_allclose(robot.reading().angular_velocity_b, speed[3:6])
+    robot.write(g1.DEFAULT_POSE)
+    before = mujoco.MjData(robot.model)
+    before.qpos[:], before.qvel[:] = standing_qpos(), speed
+    before.ctrl[:] = g1.DEFAULT_POSE
+    for _ in range(SUBSTEPS - 1):
+        mujoco.mj_step(robot.model, before)
+    robot.advance()
+    reading = robot.reading()
+    np.testing.assert_allclose(reading.angular_velocity_b, before.qvel[3:6], atol=1e-6)
+    np.testing.assert_allclose(reading.base_quat, before.qpos[3:7], atol=1e-9)
+    assert np.abs(before.qvel[3:6] - robot.qvel[3:6]).max() > 1e-3
 
 
 def test_head_velocity_agrees_with_finite_differences(robot: SimulatedRobot) -> None:

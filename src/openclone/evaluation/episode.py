@@ -23,11 +23,16 @@ from openclone.policy.command import Command, KeyPoints
 from openclone.policy.controller import StudentController
 from openclone.policy.observation import Proprioception
 from openclone.robot import g1
-from openclone.robot.kinematics import Kinematics
-from openclone.robot.model import CONTROL_PERIOD
-from openclone.robot.state import RobotState, key_point_poses, key_point_velocities
+from openclone.robot.model import CONTROL_PERIOD, SensorLayout
+from openclone.robot.state import (
+    RobotState,
+    key_point_poses,
+    key_point_velocities,
+    read_state,
+)
 from openclone.simulation.robot import SimulatedRobot
 from openclone.spatial import rotations
+from openclone.training.reference import generalized_velocities, sensed
 
 MIN_PELVIS_HEIGHT = 0.2
 """Metres; lower, and the robot has fallen."""
@@ -44,7 +49,7 @@ class Reference:
         start_velocity: (35,), MuJoCo velocities at the first frame.
         position, quat: (T, 14, 3) and (T, 14, 4), key bodies, world.
         points, point_quats: (T, 3, 3) and (T, 3, 4), head and hands, world.
-        point_velocities: (T, 3, 3), m/s, world, central differences.
+        point_velocities: (T, 3, 3), m/s, world, smoothed as in training.
     """
 
     qpos: np.ndarray
@@ -65,13 +70,17 @@ def make_reference(clip: Clip, model: mujoco.MjModel) -> Reference:
             where=clip.info.name,
             remedy="leave it out",
         )
-    start_velocity = np.zeros(model.nv)
-    mujoco.mj_differentiatePos(model, start_velocity, CONTROL_PERIOD, qpos[0], qpos[1])
-    position, quat = Kinematics(model).trajectory(qpos)
-    points, point_quats = key_point_poses(position, quat)
-    velocities = np.gradient(points, CONTROL_PERIOD, axis=0)
+    qvel = generalized_velocities(model, qpos)
+    moving = read_state(SensorLayout.of(model), qpos, qvel, sensed(model, qpos, qvel))
+    points, point_quats = key_point_poses(moving.body_position, moving.body_quat)
     return Reference(
-        qpos, start_velocity, position, quat, points, point_quats, velocities
+        qpos=qpos,
+        start_velocity=qvel[0],
+        position=moving.body_position,
+        quat=moving.body_quat,
+        points=points,
+        point_quats=point_quats,
+        point_velocities=key_point_velocities(moving),
     )
 
 

@@ -23,6 +23,8 @@ from openclone.robot.state import RobotState, read_state
 class RobotReading:
     """What a G1 reports about itself at one instant; the real one speaks the same.
 
+    What comes from the IMU is one physics step (5 ms) older than the rest.
+
     Attributes:
         joint_angles: (29,), radians.
         joint_velocities: (29,), radians per second.
@@ -72,6 +74,7 @@ class SimulatedRobot:
         self.data.ctrl[:] = qpos[7:]
         self._damping = False
         mujoco.mj_forward(self.model, self.data)
+        self._read_imu()
 
     def write(self, joint_targets: np.ndarray) -> None:
         """Set the position targets ``(29,)``, radians, for the next `advance`."""
@@ -91,8 +94,15 @@ class SimulatedRobot:
             mujoco.mj_step(self.model, self.data)
             for watcher in self._watchers:
                 watcher()
-        # mj_step computes sensors before it integrates; this makes them current.
+        # mj_step computes sensors before it integrates. Policies learn with an IMU of
+        # that age; with a younger one they walk 2 cm off.
+        self._read_imu()
         mujoco.mj_forward(self.model, self.data)
+
+    def _read_imu(self) -> None:
+        sensors, layout = self.data.sensordata, self._layout
+        self._base_quat = sensors[layout.quat][:4].copy()
+        self._gyro = sensors[layout.gyro].copy()
 
     def watch(self, watcher: Callable[[], None]) -> None:
         """Call ``watcher`` after every physics step of 5 ms from now on.
@@ -109,8 +119,8 @@ class SimulatedRobot:
             joint_angles=data.qpos[7:].copy(),
             joint_velocities=data.qvel[6:].copy(),
             torque=data.sensordata[self._layout.torque].copy(),
-            base_quat=data.qpos[3:7].copy(),
-            angular_velocity_b=data.sensordata[self._layout.gyro].copy(),
+            base_quat=self._base_quat.copy(),
+            angular_velocity_b=self._gyro.copy(),
         )
 
     def true_state(self) -> RobotState:

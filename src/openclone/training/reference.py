@@ -168,7 +168,7 @@ def build_reference(
     for clip in clips:
         qpos = clip.resampled(_FPS).qpos
         qvel = generalized_velocities(model, qpos)
-        sensors = _sensed(model, qpos, qvel)
+        sensors = sensed(model, qpos, qvel)
         sensors[:, layout.torque] = 0.0
         sensors[:, layout.foot_force] = 0.0
         qpos_parts.append(qpos)
@@ -207,7 +207,7 @@ def build_reference(
     )
 
 
-def _sensed(model: mujoco.MjModel, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
+def sensed(model: mujoco.MjModel, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
     """Sensor data of states, one row each; those of forces mean nothing."""
     data = mujoco.MjData(model)
     sensors = np.empty((len(qpos), model.nsensordata))
