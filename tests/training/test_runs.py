@@ -128,38 +128,6 @@ def test_start_explores_as_the_preset_says(trained, make_clip, tmp_path):
     torch.testing.assert_close(std.exp(), torch.full((29,), 0.01))
 
 
-def test_a_teacher_goes_on_by_value_gradients(trained, make_clip, tmp_path):
-    path, clips = tmp_path / "teacher.pt", [make_clip()]
-
-    def tuned(iterations, **settings):
-        preset = replace(TEACHER, tuning_iterations=iterations)
-        train_teacher(
-            clips, preset, tmp_path, tuning_minutes=math.inf, threads=1, **settings
-        )
-        content, state = load_checkpoint(path), load_checkpoint(tmp_path / "tuning.pt")
-        return content, state["newest"], state["tuner"]
-
-    content, newest, state = tuned(1, minutes=0, start=trained[1])
-    # A roll-out for the world model alone, then one after which the weights move.
-    assert (content["iterations"], content["steps"]) == (1, STEPS + 2 * 64)
-    assert content["phase"] == "tuning"
-    actor, before = (
-        load_checkpoint(file)["ppo"]["actor_state_dict"] for file in (path, trained[1])
-    )
-    average = state["average"]["0.weight"]
-    assert torch.equal(actor["mlp.0.weight"], average)
-    step = newest["0.weight"] - before["mlp.0.weight"]
-    assert step.abs().max() > 0
-    torch.testing.assert_close(
-        average - before["mlp.0.weight"], 0.03 * step, atol=1e-7, rtol=1e-2
-    )
-    load_teacher(path, TEACHER.tuning_task)
-    again, last, state = tuned(2, resume=True)
-    assert (again["iterations"], again["phase"]) == (2, "tuning")
-    assert state["world"]["optimizer"]["state"][0]["step"] == 2 + 1 + 2 + 1
-    assert 0 < (last["0.weight"] - newest["0.weight"]).abs().max() < 1e-3
-
-
 def test_a_student_starts_from_a_bundle(trained, make_clip, tmp_path, monkeypatch):
     bundle = tmp_path / "given.onnx"
     model = student_module.StudentModel(STUDENT.network, STUDENT.history)

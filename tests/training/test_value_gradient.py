@@ -1,5 +1,6 @@
 """World model and value gradients, beside MuJoCo and worked values."""
 
+import math
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -18,13 +19,16 @@ from openclone.robot import g1
 from openclone.robot.model import SUBSTEPS, SensorLayout
 from openclone.robot.state import read_state
 from openclone.training.body_tree import BodyTree, as_sensed, soles
+from openclone.training.checkpoint import load_checkpoint
 from openclone.training.muon import Muon, orthogonalized
 from openclone.training.pilots import StudentPilot, TeacherPilot
 from openclone.training.ppo import PpoConfig, mlp_model
+from openclone.training.presets import TEACHERS
 from openclone.training.progress import Budget, Progress
 from openclone.training.randomization import RandomizationConfig
 from openclone.training.student_view import StudentView
 from openclone.training.tally import Tally
+from openclone.training.teacher import load_teacher, train_teacher
 from openclone.training.teacher_view import TeacherEnvironment
 from openclone.training.terrain import build_training_model
 from openclone.training.value_gradient import Repetition, Tuner, ValueGradientConfig
@@ -362,3 +366,34 @@ def test_uneven_ground_is_refused(make_task, tmp_path):
     task = SimpleNamespace(config=SimpleNamespace(randomization=uneven))
     with pytest.raises(InputError, match="need flat ground"):
         Tuner(SimpleNamespace(task=task), None, CONFIG, 0, tmp_path)
+
+
+def test_a_teacher_goes_on_by_value_gradients(trained, make_clip, tmp_path):
+    path, clips, smoke = tmp_path / "teacher.pt", [make_clip()], TEACHERS["smoke"]
+    before = load_checkpoint(trained[1])
+
+    def tuned(iterations, **settings):
+        preset = replace(smoke, tuning_iterations=iterations)
+        train_teacher(
+            clips, preset, tmp_path, tuning_minutes=math.inf, threads=1, **settings
+        )
+        content, state = load_checkpoint(path), load_checkpoint(tmp_path / "tuning.pt")
+        return content, state["newest"], state["tuner"]
+
+    content, newest, state = tuned(1, minutes=0, start=trained[1])
+    # A roll-out for the world model alone, then one after which the weights move.
+    assert (content["iterations"], content["steps"]) == (1, before["steps"] + 2 * 64)
+    assert content["phase"] == "tuning"
+    actor, first = (
+        part["ppo"]["actor_state_dict"]["mlp.0.weight"] for part in (content, before)
+    )
+    average = state["average"]["0.weight"]
+    assert torch.equal(actor, average)
+    step = newest["0.weight"] - first
+    assert step.abs().max() > 0
+    torch.testing.assert_close(average - first, 0.03 * step, atol=1e-7, rtol=1e-2)
+    load_teacher(path, smoke.tuning_task)
+    again, last, state = tuned(2, resume=True)
+    assert (again["iterations"], again["phase"]) == (2, "tuning")
+    assert state["world"]["optimizer"]["state"][0]["step"] == 2 + 1 + 2 + 1
+    assert 0 < (last["0.weight"] - newest["0.weight"]).abs().max() < 1e-3
