@@ -346,6 +346,17 @@ def test_only_a_flight_that_the_reference_does_not_make_is_airborne(perfect):
     assert float(rewards.airborne(perfect)) == 0.0
 
 
+def test_leg_distance_is_seen_from_the_pelvis(perfect):
+    perfect.robot.body_position[:] += torch.tensor([1.0, -2.0, 0.5])
+    assert float(rewards.leg_distance(perfect)) == pytest.approx(0.0, abs=1e-5)
+    perfect.robot.body_position[:, LEFT, 0] += 0.15
+    off = (0.15**2 + 0.02**2) ** 0.5 - 0.02
+    assert float(rewards.leg_distance(perfect)) == pytest.approx(off / 2, abs=1e-5)
+    perfect.robot.body_position[:, RIGHT - 1, 1] += 9.0
+    wanted = off / 2 + 0.5 * 0.6 / 2
+    assert float(rewards.leg_distance(perfect)) == pytest.approx(wanted, abs=1e-5)
+
+
 # The tables --------------------------------------------------------------------------
 
 TERMS = {field.name for field in fields(RewardWeights)} - {"widths", "limit"}

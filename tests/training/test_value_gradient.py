@@ -214,19 +214,19 @@ def test_orthogonal_steps_move_all_directions_alike():
 
 
 SEEN = {
-    "student": (student_pilot, "command"),
-    "teacher": (teacher_pilot, "command"),
-    "teacher, legs": (teacher_pilot, "legs"),
-    "teacher, reference": (teacher_pilot, "reference"),
+    "student": (student_pilot, {}),
+    "teacher": (teacher_pilot, {}),
+    "teacher, legs": (teacher_pilot, {"view": "legs", "guidance": "springs"}),
+    "teacher, reference": (teacher_pilot, {"view": "reference"}),
 }
 
 
-@pytest.mark.parametrize(("pilot", "view"), SEEN.values(), ids=SEEN)
+@pytest.mark.parametrize(("pilot", "kind"), SEEN.values(), ids=SEEN)
 def test_a_repetition_sees_and_earns_what_the_robots_did(
-    make_task, tmp_path, pilot, view
+    make_task, tmp_path, pilot, kind
 ):
     tuner = make_tuner(
-        make_task, tmp_path, pilot=pilot, view=view, push_interval=0.2, episode_steps=5
+        make_task, tmp_path, pilot=pilot, push_interval=0.2, episode_steps=5, **kind
     )
     if pilot is student_pilot:
         tuner.pilot.view.error[:] = 0.05
@@ -326,7 +326,7 @@ def test_gradients_are_bounded_robot_by_robot(make_task, tmp_path):
 def test_the_gradient_lowers_arms_that_are_held_too_high(make_task, tmp_path, pilot):
     config = replace(CONFIG, warm_up_updates=10, std=0.1, world_rate=1e-3)
     tuner = make_tuner(
-        make_task, tmp_path, config, num_envs=8, pilot=pilot, push_speed=0.0
+        make_task, tmp_path, config, num_envs=16, pilot=pilot, push_speed=0.0
     )
     names = ("left_shoulder_pitch_joint", "right_shoulder_pitch_joint")
     shoulders = [g1.joint_index(name) for name in names]
@@ -334,7 +334,7 @@ def test_the_gradient_lowers_arms_that_are_held_too_high(make_task, tmp_path, pi
     for side in (1.5, -1.5):
         with torch.no_grad():
             bias[shoulders] = side
-        for _ in range(8):
+        for _ in range(12):
             tuner.learn_physics(rolled(tuner))
         bias.grad = None
         Repetition(tuner, rolled(tuner)).gain().backward()

@@ -41,14 +41,14 @@ _FAST_TASK = TaskConfig(
     displaced_share=0.1,
     born_distance=0.6,
     recorded_weight=5.0,
-    view="command",
-    guidance="arms",
+    view="legs",
+    guidance="springs",
 )
 _STUDENT_TASK = TaskConfig(
     num_envs=512,
     limits=_BEFORE_THE_FALL,
-    view="command",
-    guidance="arms",
+    view="legs",
+    guidance="springs",
     failure_share=0.5,
     run_up=125,
     push_speed=1.6,
@@ -60,7 +60,7 @@ _STUDENT_TASK = TaskConfig(
 _TUNING_TASK = replace(
     _STUDENT_TASK, num_envs=256, push_interval=8.0, standing_share=0.03
 )
-_EARLIER = replace(FAST, body_position=4.0, body_velocity=2.0)
+_EARLIER = replace(FAST, body_position=4.0, body_velocity=2.0, leg_distance=0.0)
 """What `quickstart` and `feedback` were measured with."""
 _QUICKSTART_DATA = DataChoice(categories=_WALKING, commands=False, mirror=False)
 # Wide rewards, and an end for those who stay behind: with either alone robots that
@@ -80,6 +80,7 @@ _QUICKSTART_TASK = TaskConfig(
     displaced_share=0.1,
     standing_share=0.1,
 )
+_QUICKSTART_TUNING = replace(_TUNING_TASK, view="command", guidance="arms")
 # Much noise at first: with little, a step within the KL budget is tiny.
 _FAST_PPO = PpoConfig(
     steps=16,
@@ -259,6 +260,7 @@ TEACHERS = {
         task=_QUICKSTART_TASK,
         ppo=_QUICKSTART_PPO,
         guess_errors=0.5,
+        tuning_task=_QUICKSTART_TUNING,
     ),
     # Nearest of all to the reference's legs, and little else: for experiments.
     "feedback": TeacherPreset(
@@ -315,8 +317,14 @@ STUDENTS = {
         tuning_minutes=0.0,
         teacher="quickstart",
         task=replace(
-            _STUDENT_TASK, failure_share=0.3, push_speed=0.5, push_interval=5.0
+            _STUDENT_TASK,
+            view="command",
+            guidance="arms",
+            failure_share=0.3,
+            push_speed=0.5,
+            push_interval=5.0,
         ),
+        tuning_task=_QUICKSTART_TUNING,
         data=_QUICKSTART_DATA,
     ),
     "smoke": StudentPreset(

@@ -81,6 +81,7 @@ class RewardWeights:
     feet_still: float = 0.0
     contact_mismatch: float = 0.0
     airborne: float = 0.0
+    leg_distance: float = 0.0
     widths: RewardWidths = RewardWidths()
     limit: float = 10.0
 
@@ -147,6 +148,7 @@ FAST = RewardWeights(
     feet_still=-0.5,
     contact_mismatch=-0.5,
     airborne=-2.0,
+    leg_distance=-12.0,
     widths=RewardWidths(
         vr_position=0.1**2,
         extend_body_position=0.13**2,
@@ -182,6 +184,7 @@ _PLAIN: tuple[Callable[[TrackingState], torch.Tensor], ...] = (
     rewards.feet_still,
     rewards.contact_mismatch,
     rewards.airborne,
+    rewards.leg_distance,
 )
 _CLOSENESS: tuple[Callable[[TrackingState, float], torch.Tensor], ...] = (
     rewards.vr_position,

@@ -22,8 +22,11 @@ from openclone.robot.state import RobotState, key_point_poses
 from openclone.spatial import rotations
 
 _FEET = evenly_spaced(g1.FEET)
+_KNEES = evenly_spaced(tuple(foot - 1 for foot in g1.FEET))
 _WRISTS = evenly_spaced(g1.WRISTS)
 _CONTACT_N = 1.0
+_LEG_NEAR, _LEG_FAR = 0.02, 0.6
+"""Metres; below, and above, a leg's distance hardly counts any more."""
 _AIR_SECONDS = 0.3
 _SATURATED = 0.999
 """MuJoCo clips torques at the limit, so a motor at its limit reads just that."""
@@ -330,3 +333,17 @@ def airborne(s: TrackingState) -> torch.Tensor:
     """In the air although the reference has a foot on the ground: no hopping gaits."""
     low = s.wanted_soles.amin(-1) < 0.02
     return (~_loaded(s).any(-1) & low).float()
+
+
+def leg_distance(s: TrackingState) -> torch.Tensor:
+    """Metres between feet and the reference's, and half of that between knees.
+
+    Seen from the pelvis; means of left and right. Unlike closeness it also tells legs
+    that are out of step which way to go.
+    """
+    robot, reference = s.robot.body_position, s.reference.body_position
+    root = g1.ROOT
+    error = robot - reference - (robot[:, root, None] - reference[:, root, None])
+    distance = (_squared(error) + _LEG_NEAR**2).sqrt() - _LEG_NEAR
+    distance = distance.clamp(max=_LEG_FAR)
+    return distance[:, _FEET].mean(1) + 0.5 * distance[:, _KNEES].mean(1)

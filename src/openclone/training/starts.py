@@ -13,6 +13,9 @@ _HARDEST = 0.1
 """Failures per visit that count; what always fails would take all the time, in vain."""
 _FORGETTING = 0.9995
 """Share of the old counts that each control step keeps."""
+_LENGTH_POWER = -0.5
+"""Of a motion's length, in the weight of its seconds: between as often as long (0) and
+all motions alike (-1)."""
 _BURIED = 0.0
 """Metres; an ankle below has its sole under the ground, where no robot can be put."""
 
@@ -39,7 +42,8 @@ class StartFrames:
 
         Args:
             reference: the motions.
-            share: of starts drawn by failure rate; the rest is drawn evenly over time.
+            share: of starts drawn by failure rate; the rest is drawn over all time,
+                that of long motions less often.
             generator: of the draws, on the CPU.
             recorded_weight: how many times more often than synthetic ones the rest
                 draws motions made from recordings.
@@ -59,8 +63,9 @@ class StartFrames:
         recorded = torch.tensor(reference.recorded, device=clip.device)[clip]
         first = torch.arange(bins, device=clip.device) * _BIN
         self._place = first.clamp(max=len(clip) - 1)
-        weight = torch.where(recorded, recorded_weight, 1.0)[self._place]
-        self._even = weight / weight.sum()
+        length = (self._last - self._first + 1).to(torch.float32)
+        weight = torch.where(recorded, recorded_weight, 1.0) * length**_LENGTH_POWER
+        self._even = weight[self._place] / weight[self._place].sum()
 
     def count(self, frame: torch.Tensor, terminated: torch.Tensor) -> None:
         """Note that robots were at ``frame (n,)`` and which of them failed there."""

@@ -11,7 +11,6 @@ import torch
 from openclone.policy.command import Command, command_of
 from openclone.policy.constants import Constant
 from openclone.policy.teacher import (
-    LEGS,
     command_observation,
     legs_observation,
     preview,
@@ -22,6 +21,7 @@ from openclone.robot.model import CONTROL_PERIOD, SensorLayout
 from openclone.robot.state import RobotState, read_state
 from openclone.training.births import displace, to_standing
 from openclone.training.feedback import corrections, deviation
+from openclone.training.guidance import guided
 from openclone.training.hardware import on_one_thread
 from openclone.training.physics import Physics
 from openclone.training.randomization import ActionPath, RobotFactory
@@ -39,7 +39,6 @@ _SETTLING_STEPS = 150
 _FAR = 6.0
 """Bound on the actions of feedback."""
 _ACTION_SCALE = Constant(g1.ACTION_SCALE)
-_DEFAULT_POSE = Constant(g1.DEFAULT_POSE)
 
 
 @dataclass(frozen=True)
@@ -192,16 +191,8 @@ class TrackingTask:
         return self._guided(self.config.guidance)
 
     def _guided(self, guidance: Guidance) -> torch.Tensor:
-        targets = self.next_reference().joint_angles
-        if guidance == "pose":
-            return _DEFAULT_POSE.like(targets).expand_as(targets)
-        if guidance != "angles":
-            ahead = self.reference.feedforward.index_select(0, self.next_frame())
-            targets = targets + ahead
-        if guidance == "arms":
-            legs = _DEFAULT_POSE.like(targets)[LEGS].expand(self.num_envs, -1)
-            targets = torch.cat((legs, targets[:, LEGS.stop :]), 1)
-        return targets
+        ahead = self.reference.feedforward.index_select(0, self.next_frame())
+        return guided(guidance, self._state, self.next_reference(), ahead)
 
     @on_one_thread
     def teacher_observation(self) -> torch.Tensor:

@@ -9,7 +9,7 @@ from typing import Literal
 from openclone.training.randomization import TABLE_A2, RandomizationConfig
 from openclone.training.reward_table import FAST, RewardWeights
 
-Guidance = Literal["pose", "arms", "angles", "feedforward"]
+Guidance = Literal["pose", "arms", "springs", "angles", "feedforward"]
 """Joint targets that need no learning: the default pose, as for the student; the same,
 but arms as in feedforward; the reference's angles; those that also give the reference's
 torques."""
@@ -65,7 +65,9 @@ class TaskConfig:
             paper's teacher sees the next step alone.
         look_share: share of episodes in which the head's orientation is commanded;
             the paper's student (section 3.1) is never told it.
-        guidance: what the teacher's action is an offset to.
+        guidance: what the teacher's action is an offset to: the default pose; that
+            and the reference's arms; that with springs from the robot's legs to the
+            reference's; the reference's angles; these with feed-forward, as the arms.
         view: what the teacher sees of the motion.
         randomization: the other rows of Table A2.
     """

@@ -24,6 +24,7 @@ from openclone.robot.state import RobotState
 from openclone.training.body_tree import BodyTree, as_sensed, without_value
 from openclone.training.distributed import team
 from openclone.training.guard import NanGuard, Tensors
+from openclone.training.guidance import guided
 from openclone.training.muon import Muon
 from openclone.training.pilots import Moment, Pilot, smooth
 from openclone.training.progress import Progress
@@ -296,13 +297,24 @@ class Repetition:
         )
         return window.action[step] + without_value(self._recall.act(moment))
 
+    def _base(self, step: int, reference: RobotState) -> torch.Tensor:
+        """Targets of the task's guidance, with the gradients of where robots are."""
+        guidance, feedforward = (
+            self._task.config.guidance,
+            self._task.reference.feedforward,
+        )
+        ahead = feedforward[self._window.frame[step]]
+        found = guided(guidance, self._robot, reference, ahead)
+        return self._window.base[step] + without_value(found)
+
     def _step(self, step: int) -> torch.Tensor:
         """Act, and go where the robots went; the rewards, ``(n,)``."""
         window, task = self._window, self._task
         reference = task.reference.at(window.frame[step])
         own = self._act(step, reference)
-        targets = self._tuner.pilot.to_target(own, window.base[step])
-        action = (targets - window.base[step]) / task.action_scale
+        base = self._base(step, reference)
+        targets = self._tuner.pilot.to_target(own, base)
+        action = (targets - base) / task.action_scale
         foreseen = self._tuner.learner.model(
             self._qpos, self._qvel, targets, self._bodies
         )
