@@ -7,12 +7,14 @@ import torch
 from openclone.motion.clip import Clip, ClipInfo, clip_from_qpos
 from openclone.robot import g1
 from openclone.robot.model import SensorLayout, build_model, standing_qpos
+from openclone.robot.state import RobotState
 from openclone.training import student as student_module
 from openclone.training.physics import ThreadedPhysics
 from openclone.training.ppo import PpoConfig, build_ppo, collect, mlp_model
 from openclone.training.presets import STUDENTS, TEACHERS
 from openclone.training.progress import Budget, Progress
 from openclone.training.reference import build_reference
+from openclone.training.rewards import TrackingState
 from openclone.training.storage import Rollouts
 from openclone.training.student import train_student
 from openclone.training.tally import Tally
@@ -85,3 +87,25 @@ def trained(tmp_path_factory, make_clip):
         teacher = train_teacher([make_clip()], TEACHERS["smoke"], out, threads=1)
         train_student([make_clip()], teacher, STUDENTS["smoke"], out, threads=1)
     return out, teacher, out / "student.pt"
+
+
+@pytest.fixture
+def perfect(reference) -> TrackingState:
+    """One robot that does exactly what its reference does."""
+    frame = torch.tensor([10])
+    robot = reference.at(frame)
+    robot = RobotState(
+        **{name: getattr(robot, name).clone() for name in robot.__dataclass_fields__}
+    )
+    zeros = torch.zeros(1, 29)
+    return TrackingState(
+        robot=robot,
+        reference=reference.at(frame),
+        action=zeros,
+        previous_action=zeros,
+        previous_velocities=robot.joint_velocities,
+        terminated=torch.zeros(1, dtype=torch.bool),
+        air_time=torch.zeros(1, 2),
+        style=torch.zeros(1),
+        period=0.02,
+    )

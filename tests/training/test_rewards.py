@@ -1,48 +1,19 @@
 """Every row of Table A1 and every own term against a value worked out by hand."""
 
 import math
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import pytest
 import torch
 
 from openclone.robot import g1
-from openclone.robot.state import RobotState
 from openclone.training import rewards
-from openclone.training.reward_table import (
-    FAST,
-    PAPER,
-    RewardWeights,
-    RewardWidths,
-    total_reward,
-)
 from openclone.training.rewards import TrackingState
 
 LEFT, RIGHT = g1.FEET
 # A turn by 30 degrees about x; its tilt is sin 30° = 0.5.
 TILT_30 = torch.tensor([math.cos(math.pi / 12), math.sin(math.pi / 12), 0.0, 0.0])
 UPRIGHT = torch.tensor([1.0, 0, 0, 0])
-
-
-@pytest.fixture
-def perfect(reference) -> TrackingState:
-    frame = torch.tensor([10])
-    robot = reference.at(frame)
-    robot = RobotState(
-        **{name: getattr(robot, name).clone() for name in robot.__dataclass_fields__}
-    )
-    zeros = torch.zeros(1, 29)
-    return TrackingState(
-        robot=robot,
-        reference=reference.at(frame),
-        action=zeros,
-        previous_action=zeros,
-        previous_velocities=robot.joint_velocities,
-        terminated=torch.zeros(1, dtype=torch.bool),
-        air_time=torch.zeros(1, 2),
-        style=torch.zeros(1),
-        period=0.02,
-    )
 
 
 # Table A1: penalties -----------------------------------------------------------------
@@ -355,51 +326,3 @@ def test_leg_distance_is_seen_from_the_pelvis(perfect):
     perfect.robot.body_position[:, RIGHT - 1, 1] += 9.0
     wanted = off / 2 + 0.5 * 0.6 / 2
     assert float(rewards.leg_distance(perfect)) == pytest.approx(wanted, abs=1e-5)
-
-
-# The tables --------------------------------------------------------------------------
-
-TERMS = {field.name for field in fields(RewardWeights)} - {"widths", "limit"}
-
-# Printed weights of Table A1, in its order; the sign of the last but one is ours.
-TABLE_A1 = (
-    -0.0001, -2, -625, -50, -1e4, -1.1e-5, -0.004, -1.0, -0.3, 2500, -1.25e4, -80,
-    -62.5, -750, -50, 100, 10, 250, 150, 400, 80, 8, -500, 500,
-)  # fmt: skip
-
-
-def test_paper_weights_are_the_printed_ones_row_by_row():
-    names = [field.name for field in fields(RewardWeights)][: len(TABLE_A1)]
-    assert [getattr(PAPER, name) for name in names] == pytest.approx(list(TABLE_A1))
-    others = TERMS - set(names)
-    assert all(getattr(PAPER, name) == 0 for name in others)
-
-
-def test_every_weight_has_a_term(perfect):
-    ones = RewardWeights(**dict.fromkeys(TERMS, 1.0))
-    _, terms = total_reward(perfect, ones)
-    assert set(terms) == TERMS
-
-
-def test_total_is_the_weighted_sum(perfect):
-    perfect.robot.body_position[:, :, 0] += 0.2
-    weights = RewardWeights(root_position=2.0, body_position=0.5)
-    total, terms = total_reward(perfect, weights)
-    assert set(terms) == {"root_position", "body_position"}
-    assert float(total) == pytest.approx(2 * math.exp(-1) + 0.5, abs=1e-4)
-
-
-def test_widths_come_from_the_table(perfect):
-    perfect.robot.body_position[:, :, 0] += 0.3
-    narrow = RewardWeights(root_position=1.0, widths=RewardWidths(root_position=0.045))
-    assert float(total_reward(perfect, narrow)[0]) == pytest.approx(
-        math.exp(-2), abs=1e-5
-    )
-
-
-def test_fast_rewards_of_perfect_tracking(perfect):
-    loads(perfect, 100.0, 100.0)
-    perfect.robot.torque[:] = 0
-    total, _ = total_reward(perfect, FAST)
-    # The closeness weights sum to 24; the moving arms cost a little.
-    assert float(total) == pytest.approx(24.0, abs=0.05)

@@ -26,7 +26,7 @@ _KNEES = evenly_spaced(tuple(foot - 1 for foot in g1.FEET))
 _WRISTS = evenly_spaced(g1.WRISTS)
 _CONTACT_N = 1.0
 _LEG_NEAR, _LEG_FAR = 0.02, 0.6
-"""Metres; below, and above, a leg's distance hardly counts any more."""
+"""Metres; a leg's distance hardly counts below the one, and no more above the other."""
 _AIR_SECONDS = 0.3
 _SATURATED = 0.999
 """MuJoCo clips torques at the limit, so a motor at its limit reads just that."""
@@ -342,8 +342,11 @@ def leg_distance(s: TrackingState) -> torch.Tensor:
     that are out of step which way to go.
     """
     robot, reference = s.robot.body_position, s.reference.body_position
-    root = g1.ROOT
-    error = robot - reference - (robot[:, root, None] - reference[:, root, None])
-    distance = (_squared(error) + _LEG_NEAR**2).sqrt() - _LEG_NEAR
-    distance = distance.clamp(max=_LEG_FAR)
-    return distance[:, _FEET].mean(1) + 0.5 * distance[:, _KNEES].mean(1)
+    moved = (robot - reference)[:, g1.ROOT, None]
+
+    def away(part: slice) -> torch.Tensor:
+        error = robot[:, part] - reference[:, part] - moved
+        distance = (_squared(error) + _LEG_NEAR**2).sqrt() - _LEG_NEAR
+        return distance.clamp(max=_LEG_FAR).mean(1)
+
+    return away(_FEET) + 0.5 * away(_KNEES)

@@ -65,7 +65,7 @@ class StartFrames:
         self._place = first.clamp(max=len(clip) - 1)
         length = (self._last - self._first + 1).to(torch.float32)
         weight = torch.where(recorded, recorded_weight, 1.0) * length**_LENGTH_POWER
-        self._even = weight[self._place] / weight[self._place].sum()
+        self._anywhere = weight[self._place] / weight[self._place].sum()
 
     def count(self, frame: torch.Tensor, terminated: torch.Tensor) -> None:
         """Note that robots were at ``frame (n,)`` and which of them failed there."""
@@ -84,7 +84,7 @@ class StartFrames:
         """
         rate = (self.failures / (self._visits + 1.0)).clamp(max=_HARDEST) + 0.01
         share = self._share
-        chance = share * (rate / rate.sum()).cpu() + (1 - share) * self._even
+        chance = share * (rate / rate.sum()).cpu() + (1 - share) * self._anywhere
         rng = self._generator
         bins = torch.multinomial(chance, count, replacement=True, generator=rng)
         offset = torch.randint(-self._run_up, _BIN, (count,), generator=rng)

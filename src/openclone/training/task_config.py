@@ -11,7 +11,8 @@ from openclone.training.reward_table import FAST, RewardWeights
 
 Guidance = Literal["pose", "arms", "springs", "angles", "feedforward"]
 """Joint targets that need no learning: the default pose, as for the student; the same,
-but arms as in feedforward; the reference's angles; those that also give the reference's
+but arms as in feedforward; that with springs from the robot's legs to the reference's;
+the reference's angles; those that also give the reference's
 torques."""
 View = Literal["reference", "command", "legs"]
 """What the teacher sees of the motion: all of it; head and hands as the student does;
@@ -44,7 +45,7 @@ class TaskConfig:
         episode_steps: control steps until an episode is cut.
         limits: early termination.
         weights: reward weights.
-        failure_share: share of resets drawn by failure rate; the rest is even.
+        failure_share: share of resets drawn by failure rate; see `StartFrames`.
         run_up: control steps before the chosen place at which episodes may begin: a
             robot comes to it as it then is, late perhaps, and not as the reference.
         recorded_weight: how many times more often than synthetic motions the rest
@@ -65,9 +66,7 @@ class TaskConfig:
             paper's teacher sees the next step alone.
         look_share: share of episodes in which the head's orientation is commanded;
             the paper's student (section 3.1) is never told it.
-        guidance: what the teacher's action is an offset to: the default pose; that
-            and the reference's arms; that with springs from the robot's legs to the
-            reference's; the reference's angles; these with feed-forward, as the arms.
+        guidance: what the teacher's action is an offset to.
         view: what the teacher sees of the motion.
         randomization: the other rows of Table A2.
     """

@@ -299,12 +299,9 @@ class Repetition:
 
     def _base(self, step: int, reference: RobotState) -> torch.Tensor:
         """Targets of the task's guidance, with the gradients of where robots are."""
-        guidance, feedforward = (
-            self._task.config.guidance,
-            self._task.reference.feedforward,
-        )
-        ahead = feedforward[self._window.frame[step]]
-        found = guided(guidance, self._robot, reference, ahead)
+        task = self._task
+        ahead = task.reference.feedforward[self._window.frame[step]]
+        found = guided(task.config.guidance, self._robot, reference, ahead)
         return self._window.base[step] + without_value(found)
 
     def _step(self, step: int) -> torch.Tensor:
