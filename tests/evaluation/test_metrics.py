@@ -77,6 +77,20 @@ def test_pitch_of_the_root_counts_as_root_relative_error(standing):
     assert result.r_mpkpe_mm == pytest.approx(1000 * (2 * arm * math.sin(0.1)).mean())
 
 
+def test_tremor_of_a_robot_that_shakes_as_it_walks(standing):
+    walk = 0.8 * PERIOD * np.arange(FRAMES)[:, None, None] * np.array([1.0, 0, 0])
+    walking = standing.position + walk
+    assert metrics.tremor(walking, PERIOD) == pytest.approx(0.0, abs=1e-9)
+    # 12.5 Hz: of five velocities v, -v, -v, v, v four cancel, and the mean about the
+    # one in the middle is -1/5 of it.
+    shake = 0.002 * np.tile([0.0, 1.0, 0.0, -1.0], FRAMES // 4)
+    position = walking + shake[:, None, None] * np.array([0, 0, 1.0])
+    result = metrics.measure(replace(standing, position=position))
+    assert result.tremor_mm_s == pytest.approx(1.2 * 2 / PERIOD)
+    assert result.reference_tremor_mm_s == pytest.approx(0.0, abs=1e-9)
+    assert math.isnan(metrics.tremor(walking[:5], PERIOD))
+
+
 def test_velocity_error_of_a_robot_that_slips_away(standing):
     slip = np.arange(FRAMES)[:, None, None] * PERIOD * np.array([0.3, 0.0, 0.4])
     result = metrics.measure(replace(standing, position=standing.position + slip))

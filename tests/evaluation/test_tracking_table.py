@@ -26,7 +26,7 @@ from openclone.motion.clip import CATEGORIES
 
 def result(category: str, sr: float, mpkpe: float, frames: int = 3) -> ClipResult:
     line, pose = np.zeros((frames, 3)), np.zeros((frames, 36))
-    metrics = Metrics(sr, mpkpe, 30.0, 200.0, 3.0, 10.0, 2.0)
+    metrics = Metrics(sr, mpkpe, 30.0, 200.0, 3.0, 10.0, 70.0, 20.0, 2.0)
     return ClipResult(category, metrics, np.ones(frames), line, line, pose, pose)
 
 
@@ -94,10 +94,11 @@ def test_every_category_has_a_row_and_refused_recordings_are_counted(three_seeds
 
 def test_text_says_how_it_was_measured_beside_paper_and_target(three_seeds):
     text = text_table(three_seeds, TrackingSetup("train"))
+    assert text.splitlines()[-1].endswith("70 mm/s, reference 20")
     for word in ("Eq. 2, 3 seeds", "randomization off", "head and hands only"):
         assert word in text.splitlines()[0]
-    assert text.splitlines()[-2].split()[-5:] == ["100", "87.8", "33.3", "227", "3.61"]
-    assert text.splitlines()[-1].split()[3::2] == ["98", "80", "33", "227", "3.6"]
+    assert text.splitlines()[-3].split()[-5:] == ["100", "87.8", "33.3", "227", "3.61"]
+    assert text.splitlines()[-2].split()[3::2] == ["98", "80", "33", "227", "3.6"]
     assert "its place alone" not in text
     free = text_table(three_seeds, TrackingSetup(look=False))
     assert "of the head its place alone" in free

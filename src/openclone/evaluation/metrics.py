@@ -21,6 +21,8 @@ CONTACT_FORCE = 1.0
 """N of vertical ground force below which a foot counts as lifted."""
 LIFT_FRAMES = 2
 """A foot must be off the ground this long (40 ms at 50 Hz) for a step to count."""
+TREMOR_FRAMES = 5
+"""Velocities are compared with their mean over this long (0.1 s at 50 Hz); odd."""
 _MM = 1000.0
 
 
@@ -56,6 +58,7 @@ class Metrics:
         e_vel_mm_s: mean key-body velocity error.
         e_hand_x100: 100 x (1 - <q̂, q>²), mean over both hands.
         drift_mm: horizontal head error at the end.
+        tremor_mm_s, reference_tremor_mm_s: `tremor` of the robot and of its reference.
         seconds: length of the runs together.
     """
 
@@ -65,6 +68,8 @@ class Metrics:
     e_vel_mm_s: float
     e_hand_x100: float
     drift_mm: float
+    tremor_mm_s: float
+    reference_tremor_mm_s: float
     seconds: float
 
     def to_json(self) -> dict[str, float | None]:
@@ -100,6 +105,25 @@ def velocity_error(
     Both velocities are differences of consecutive frames: the same filter on both.
     """
     return np.linalg.norm(np.diff(position - reference, axis=0), axis=-1) / period
+
+
+def tremor(position: np.ndarray, period: float) -> float:
+    """Mean speed of key bodies about its own moving average, m/s; NaN if too short.
+
+    Steps take a quarter of a second and more, and hardly count. A robot that trembles,
+    or walks by trembling, shows here and not in its position errors.
+
+    Args:
+        position: (T, 14, 3), metres.
+        period: seconds between frames.
+    """
+    velocity = np.diff(position, axis=0) / period
+    if len(velocity) < TREMOR_FRAMES:
+        return float("nan")
+    half = TREMOR_FRAMES // 2
+    around = np.lib.stride_tricks.sliding_window_view(velocity, TREMOR_FRAMES, axis=0)
+    rest = velocity[half : len(velocity) - half] - around.mean(axis=-1)
+    return float(np.linalg.norm(rest, axis=-1).mean())
 
 
 def hand_error(quat: np.ndarray, reference: np.ndarray) -> np.ndarray:
@@ -144,6 +168,8 @@ def measure(trace: Trace) -> Metrics:
         e_vel_mm_s=_MM * float(speed.mean()) if len(speed) else float("nan"),
         e_hand_x100=100.0 * float(hand_error(trace.quat, trace.reference_quat).mean()),
         drift_mm=_MM * float(head_drift(trace)[-1]),
+        tremor_mm_s=_MM * tremor(robot, trace.period),
+        reference_tremor_mm_s=_MM * tremor(wanted, trace.period),
         seconds=len(robot) * trace.period,
     )
 

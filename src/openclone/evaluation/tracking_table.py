@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass, field
 
-from openclone.evaluation.metrics import Metrics
+from openclone.evaluation.metrics import TREMOR_FRAMES, Metrics
 from openclone.evaluation.tracking import TrackingReport
 from openclone.motion.clip import CATEGORIES
 
@@ -133,7 +133,16 @@ def text_table(report: TrackingReport, setup: TrackingSetup) -> str:
     for row in (head, *rows):
         cells = (f"{cell:>{w}}" for cell, w in zip(row[1:], widths[1:], strict=True))
         lines.append("  ".join((f"{row[0]:{widths[0]}}", *cells)).rstrip())
+    lines.append(tremor_line(report.overall))
     return "\n".join(lines)
+
+
+def tremor_line(metrics: Metrics) -> str:
+    """How much the robot trembles, beside its reference; no figure of the paper."""
+    return (
+        f"tremor (motion within {TREMOR_FRAMES} frames) {metrics.tremor_mm_s:.0f} mm/s, "
+        f"reference {metrics.reference_tremor_mm_s:.0f}"
+    )
 
 
 def figures(report: TrackingReport, setup: TrackingSetup) -> dict[str, object]:
