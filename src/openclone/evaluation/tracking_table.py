@@ -140,8 +140,8 @@ def text_table(report: TrackingReport, setup: TrackingSetup) -> str:
 def tremor_line(metrics: Metrics) -> str:
     """How much the robot trembles, beside its reference; no figure of the paper."""
     return (
-        f"tremor (motion within {TREMOR_FRAMES} frames) {metrics.tremor_mm_s:.0f} mm/s, "
-        f"reference {metrics.reference_tremor_mm_s:.0f}"
+        f"tremor (speed about its mean over {TREMOR_FRAMES} steps) "
+        f"{metrics.tremor_mm_s:.0f} mm/s, reference {metrics.reference_tremor_mm_s:.0f}"
     )
 
 
