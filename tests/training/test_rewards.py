@@ -326,3 +326,33 @@ def test_leg_distance_is_seen_from_the_pelvis(perfect):
     perfect.robot.body_position[:, RIGHT - 1, 1] += 9.0
     wanted = off / 2 + 0.5 * 0.6 / 2
     assert float(rewards.leg_distance(perfect)) == pytest.approx(wanted, abs=1e-5)
+
+
+def test_correction_rate_leaves_out_what_the_reference_asks_for(perfect):
+    previous, knee, elbow = torch.zeros(1, 29), 3, g1.joint_index("left_elbow_joint")
+    moved = replace(perfect, action=previous.clone(), previous_action=previous)
+    perfect.reference.joint_velocities[:] = 0
+    assert float(rewards.correction_rate(moved)) == 0.0
+    perfect.reference.joint_velocities[0, [knee, elbow]] = 5.0
+    step = 5.0 * perfect.period / g1.ACTION_SCALE[knee]  # the elbow's is in its base
+    assert float(rewards.correction_rate(moved)) == pytest.approx(step**2)
+    moved.action[0, knee], moved.action[0, elbow] = step + 0.5, 2.0
+    assert float(rewards.correction_rate(moved)) == pytest.approx(0.25 + 4.0)
+
+
+def test_velocity_distance(perfect):
+    perfect.robot.body_velocity[:] = perfect.reference.body_velocity
+    assert float(rewards.velocity_distance(perfect)) == pytest.approx(0.0, abs=1e-6)
+    perfect.robot.body_velocity[:, LEFT] += torch.tensor([3.0, 0.0, -4.0])
+    wanted = ((25.0 + 0.05**2) ** 0.5 - 0.05) / 14
+    assert float(rewards.velocity_distance(perfect)) == pytest.approx(wanted, abs=1e-5)
+
+
+def test_body_distance_goes_on_far_away(perfect):
+    assert float(rewards.body_distance(perfect)) == pytest.approx(0.0, abs=1e-5)
+    perfect.robot.body_position[:, LEFT, 2] += 0.3
+    wanted = ((0.3**2 + 0.02**2) ** 0.5 - 0.02) / 14
+    assert float(rewards.body_distance(perfect)) == pytest.approx(wanted, abs=1e-5)
+    perfect.robot.body_position[:, RIGHT, 2] += 9.0
+    wanted += 0.6 / 14
+    assert float(rewards.body_distance(perfect)) == pytest.approx(wanted, abs=1e-5)

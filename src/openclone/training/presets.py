@@ -60,7 +60,15 @@ _STUDENT_TASK = TaskConfig(
 _TUNING_TASK = replace(
     _STUDENT_TASK, num_envs=256, push_interval=8.0, standing_share=0.03
 )
-_EARLIER = replace(FAST, body_position=4.0, body_velocity=2.0, leg_distance=0.0)
+_EARLIER = replace(
+    FAST,
+    body_position=4.0,
+    body_velocity=2.0,
+    leg_distance=0.0,
+    correction_rate=0.0,
+    velocity_distance=0.0,
+    body_distance=0.0,
+)
 """What `quickstart` and `feedback` were measured with."""
 _QUICKSTART_DATA = DataChoice(categories=_WALKING, commands=False, mirror=False)
 # Wide rewards, and an end for those who stay behind: with either alone robots that

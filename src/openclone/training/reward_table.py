@@ -82,6 +82,9 @@ class RewardWeights:
     contact_mismatch: float = 0.0
     airborne: float = 0.0
     leg_distance: float = 0.0
+    correction_rate: float = 0.0
+    velocity_distance: float = 0.0
+    body_distance: float = 0.0
     widths: RewardWidths = RewardWidths()
     limit: float = 10.0
 
@@ -149,6 +152,9 @@ FAST = RewardWeights(
     contact_mismatch=-0.5,
     airborne=-2.0,
     leg_distance=-12.0,
+    correction_rate=-0.1,
+    velocity_distance=-4.0,
+    body_distance=-12.0,
     widths=RewardWidths(
         vr_position=0.1**2,
         extend_body_position=0.13**2,
@@ -185,6 +191,9 @@ _PLAIN: tuple[Callable[[TrackingState], torch.Tensor], ...] = (
     rewards.contact_mismatch,
     rewards.airborne,
     rewards.leg_distance,
+    rewards.correction_rate,
+    rewards.velocity_distance,
+    rewards.body_distance,
 )
 _CLOSENESS: tuple[Callable[[TrackingState, float], torch.Tensor], ...] = (
     rewards.vr_position,

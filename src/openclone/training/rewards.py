@@ -15,7 +15,7 @@ import torch
 
 from openclone.policy.constants import Constant
 from openclone.policy.observation import gravity_b
-from openclone.policy.teacher import evenly_spaced
+from openclone.policy.teacher import LEGS, evenly_spaced
 from openclone.robot import g1
 from openclone.robot.model import SOLE_CORNERS
 from openclone.robot.state import RobotState, key_point_poses
@@ -25,8 +25,10 @@ _FEET = evenly_spaced(g1.FEET)
 _KNEES = evenly_spaced(tuple(foot - 1 for foot in g1.FEET))
 _WRISTS = evenly_spaced(g1.WRISTS)
 _CONTACT_N = 1.0
-_LEG_NEAR, _LEG_FAR = 0.02, 0.6
-"""Metres; a leg's distance hardly counts below the one, and no more above the other."""
+_NEAR, _FAR = 0.02, 0.6
+"""Metres; a distance hardly counts below the one, and no more above the other."""
+_SLOW = 0.05
+"""m/s; differences in velocity hardly count below."""
 _AIR_SECONDS = 0.3
 _SATURATED = 0.999
 """MuJoCo clips torques at the limit, so a motor at its limit reads just that."""
@@ -36,6 +38,7 @@ _MARGIN = 0.025 * (g1.JOINT_UPPER - g1.JOINT_LOWER)
 _INNER_LOWER = Constant(g1.JOINT_LOWER + _MARGIN)
 _INNER_UPPER = Constant(g1.JOINT_UPPER - _MARGIN)
 _MAX_SPEED = Constant(g1.MAX_SPEED)
+_ACTION_SCALE = Constant(g1.ACTION_SCALE)
 _SOLE_CORNERS = Constant(SOLE_CORNERS)
 
 
@@ -346,7 +349,35 @@ def leg_distance(s: TrackingState) -> torch.Tensor:
 
     def away(part: slice) -> torch.Tensor:
         error = robot[:, part] - reference[:, part] - moved
-        distance = (_squared(error) + _LEG_NEAR**2).sqrt() - _LEG_NEAR
-        return distance.clamp(max=_LEG_FAR).mean(1)
+        distance = (_squared(error) + _NEAR**2).sqrt() - _NEAR
+        return distance.clamp(max=_FAR).mean(1)
 
     return away(_FEET) + 0.5 * away(_KNEES)
+
+
+def correction_rate(s: TrackingState) -> torch.Tensor:
+    """Squared change of the action beyond what the reference itself asks for.
+
+    For actions that are offsets to the default pose for legs and waist, and to the
+    reference for arms. A robot that trembles pays for it, one that steps with the
+    reference, however quickly, does not.
+    """
+    asked = s.period * s.reference.joint_velocities[:, LEGS]
+    asked = asked / _ACTION_SCALE.like(asked)[LEGS]
+    change = s.action - s.previous_action
+    return _squared(change[:, LEGS] - asked) + _squared(change[:, LEGS.stop :])
+
+
+def velocity_distance(s: TrackingState) -> torch.Tensor:
+    """Metres per second between key bodies and the reference's, mean: E_vel."""
+    away = s.robot.body_velocity - s.reference.body_velocity
+    return (_squared(away) + _SLOW**2).sqrt().mean(-1) - _SLOW
+
+
+def body_distance(s: TrackingState) -> torch.Tensor:
+    """Metres between key bodies and the reference's in the world, mean: MPKPE.
+
+    Closeness has no slope far away, where most of the mean error is made.
+    """
+    distance = _squared(s.robot.body_position - s.reference.body_position)
+    return ((distance + _NEAR**2).sqrt() - _NEAR).clamp(max=_FAR).mean(-1)
