@@ -99,6 +99,11 @@ def _squared(difference: torch.Tensor) -> torch.Tensor:
     return (difference * difference).sum(-1)
 
 
+def _distance(difference: torch.Tensor, near: float) -> torch.Tensor:
+    """Lengths, ``(..., 3) -> (...)``, rounded off at zero over about ``near``."""
+    return (_squared(difference) + near**2).sqrt() - near
+
+
 def _mean_square(difference: torch.Tensor) -> torch.Tensor:
     """Mean over bodies of the squared length, ``(n, bodies, 3) -> (n,)``.
 
@@ -349,18 +354,17 @@ def leg_distance(s: TrackingState) -> torch.Tensor:
 
     def away(part: slice) -> torch.Tensor:
         error = robot[:, part] - reference[:, part] - moved
-        distance = (_squared(error) + _NEAR**2).sqrt() - _NEAR
-        return distance.clamp(max=_FAR).mean(1)
+        return _distance(error, _NEAR).clamp(max=_FAR).mean(1)
 
     return away(_FEET) + 0.5 * away(_KNEES)
 
 
 def correction_rate(s: TrackingState) -> torch.Tensor:
-    """Squared change of the action beyond what the reference itself asks for.
+    """Squared change of the action beyond what the reference asks for, action units².
 
-    For actions that are offsets to the default pose for legs and waist, and to the
-    reference for arms. A robot that trembles pays for it, one that steps with the
-    reference, however quickly, does not.
+    A robot that trembles pays for it, one that steps with the reference, however
+    quickly, does not. It holds where actions are offsets to the default pose for legs
+    and waist and to the reference for arms: with the guidance "arms" or "springs".
     """
     asked = s.period * s.reference.joint_velocities[:, LEGS]
     asked = asked / _ACTION_SCALE.like(asked)[LEGS]
@@ -371,13 +375,13 @@ def correction_rate(s: TrackingState) -> torch.Tensor:
 def velocity_distance(s: TrackingState) -> torch.Tensor:
     """Metres per second between key bodies and the reference's, mean: E_vel."""
     away = s.robot.body_velocity - s.reference.body_velocity
-    return (_squared(away) + _SLOW**2).sqrt().mean(-1) - _SLOW
+    return _distance(away, _SLOW).mean(-1)
 
 
 def body_distance(s: TrackingState) -> torch.Tensor:
     """Metres between key bodies and the reference's in the world, mean: MPKPE.
 
-    Closeness has no slope far away, where most of the mean error is made.
+    Unlike closeness it still has a slope far away.
     """
-    distance = _squared(s.robot.body_position - s.reference.body_position)
-    return ((distance + _NEAR**2).sqrt() - _NEAR).clamp(max=_FAR).mean(-1)
+    away = s.robot.body_position - s.reference.body_position
+    return _distance(away, _NEAR).clamp(max=_FAR).mean(-1)
